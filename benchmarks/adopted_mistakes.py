@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from surefoot.adopt.adoption import FORMATS, load_network
-from surefoot.adopt.builder import NetworkSizes, PolicyMaker, build_policy, check_specification
+from surefoot.adopt.builder import NetworkSizes, PolicyBuilder, build_policy, check_specification
 from surefoot.adopt.diagnosis import diagnose
 from surefoot.adopt.mistakes import Correction, corrections
 from surefoot.adopt.specification import PolicySpecification
@@ -64,7 +64,7 @@ def kind_of(change: Correction) -> str:
 
 def meaning(specification: PolicySpecification, robot: RobotDescription) -> list[np.ndarray]:
     """Return all numbers that determine the policy's observation and the effect of its actions."""
-    maker = PolicyMaker(specification, NetworkSizes(None, len(specification.joints)), robot)
+    maker = PolicyBuilder(specification, NetworkSizes(None, len(specification.joints)), robot)
     weight, offset, scale = maker.observation_map()
     action, middle, to_motors = maker.target_map()
     gains = [np.broadcast_to(maker.per_motor(gain), robot.num_motors) for gain in (specification.kp, specification.kd)]
@@ -140,11 +140,11 @@ def main() -> None:
                 (one.score for one, fits in zip(diagnosis.ranked, is_right, strict=True) if fits), default=float("nan")
             )
             if case.kind == RIGHT:
-                result = "false alarm" if diagnosis.is_shown else "left alone"
+                result = "false alarm" if diagnosis.is_confirmed else "left alone"
             elif answer is None or not is_right[0]:
                 result = "nothing named" if answer is None else "another named"
             else:
-                result = "named, robots show it" if diagnosis.is_shown else "named by its unusual number"
+                result = "named, robots show it" if diagnosis.is_confirmed else "named by its unusual number"
             row = {
                 "seed": seed,
                 "number": number,

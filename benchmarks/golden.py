@@ -22,7 +22,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from surefoot.api.policies import load_policy, shipped_policies
+from surefoot.api.policies import load_policy, released_policies
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.policy.runtime import PolicyRuntime
@@ -136,7 +136,7 @@ def _metrics(update: Any) -> dict[str, Any]:
 
 def cases() -> Iterator[tuple[str, str]]:
     """Yield kind and name of each case."""
-    for name in shipped_policies():
+    for name in released_policies():
         yield "rollouts", name
     for task, robot in TRAININGS:
         yield "rollouts", f"{robot} {task}"
@@ -153,7 +153,7 @@ def run(kind: str, name: str) -> dict[str, Any]:
     if " " in name:
         robot, task = name.split()
         return random_rollout(load_task(task, robot)[0])
-    policy, description, own = load_policy(shipped_policies()[name], None)
+    policy, description, own = load_policy(released_policies()[name], None)
     return {variant: rollout(policy, task) for variant, task in variants(name, own, description)}
 
 

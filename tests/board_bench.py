@@ -11,7 +11,7 @@ from compiled_firmware import compiled, needs_gcc, needs_qemu
 
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.limits import Limits, make_handshake
-from surefoot.deploy.board.signals import MotorOrder, Sensors, Vitals
+from surefoot.deploy.board.signals import MotorCommand, Sensors, Vitals
 from surefoot.deploy.messages import Handshake, Message, Mode, Packet, Reason
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
@@ -39,12 +39,12 @@ class CompiledFirmware(FirmwareProcess):
         super().__init__(compiled(robot, limits, handshake, *target), robot.name, robot.num_motors)
         self.handshake = handshake
 
-    def tick(self, now: int, vitals: Vitals) -> MotorOrder:  # type: ignore[override]
+    def tick(self, now: int, vitals: Vitals) -> MotorCommand:  # type: ignore[override]
         zeros, attitude = np.zeros(8), np.array([0.0, vitals.tilt, 0.0])
         temperature = np.array([25.0, vitals.temperature, *[25.0] * 6])
         seen = Sensors(vitals.motor_angle, zeros, zeros, attitude, zeros[:3], 0.0, vitals.voltage, temperature)
         super().tick(now, seen, vitals.hazard, vitals.sit)
-        return MotorOrder(self.mode, self.order) if self.armed else MotorOrder(Mode.DISARMED, zeros)
+        return MotorCommand(self.mode, self.order) if self.armed else MotorCommand(Mode.DISARMED, zeros)
 
     @property
     def watch(self) -> CompiledFirmware:
@@ -71,7 +71,7 @@ class Bench:
         self.host = Decoder(Codec(8))
         self.now = self.number = 0
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)
-        self.order: MotorOrder | None = None
+        self.order: MotorCommand | None = None
         self.sent: list[Packet] = []
         """What the robot has sent, oldest first."""
         self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))

@@ -16,7 +16,7 @@ from surefoot.policy.digest import add_digest
 from surefoot.robot import RobotDescription
 
 
-def edited_policy(
+def modified_policy(
     path: Path,
     change: Callable[[dict[str, Any]], object] = lambda contract: None,
     policy: str | Path = "gallop",

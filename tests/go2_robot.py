@@ -17,7 +17,7 @@ import numpy as np
 
 from surefoot.deploy.dds import bus, low_level, services, types
 from surefoot.deploy.dds.state_monitor import MOTORS
-from surefoot.deploy.pacer import BOARD_PRIORITY, undisturbed
+from surefoot.deploy.pacer import BOARD_PRIORITY, real_time_priority
 
 LYING = np.tile([0.0, 1.2, -2.6], 4)
 RATE = 30.0
@@ -170,7 +170,7 @@ class _Body:
         state["bms_state"]["cell_vol"][:CELLS] = now.cell
         state["power_v"] = 1e-3 * CELLS * now.cell
         if now.buttons or now.stick:
-            state["wireless_remote"] = low_level.Remote(now.buttons, now.stick, 0.0, 0.0, 0.0).encode()
+            state["wireless_remote"] = low_level.RemoteControl(now.buttons, now.stick, 0.0, 0.0, 0.0).encode()
         if now.not_finite:
             motors["q"][4] = np.nan
         data = low_level.encode(state)
@@ -180,7 +180,7 @@ class _Body:
 
 
 def _run(domain: int, pipe: Connection) -> None:
-    with undisturbed(BOARD_PRIORITY, threads=True):
+    with real_time_priority(BOARD_PRIORITY, threads=True):
         body = _Body(domain)
         pipe.send("ready")
         due = last = time.monotonic()

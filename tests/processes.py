@@ -133,10 +133,10 @@ class EmulatorHere:
 
     def hear_out(self, patience: float) -> None:
         """Wait, at most `patience` [s], until it has received all that hosts in lockstep sent before they left."""
-        heard, deserted = threading.Event(), self._pty.deserted
+        heard, has_no_host = threading.Event(), self._pty.has_no_host
 
         def look() -> bool:
-            if left := deserted():
+            if left := has_no_host():
                 heard.set()
             return left
 
@@ -145,7 +145,7 @@ class EmulatorHere:
 
     def wait_until_free(self, patience: float) -> None:
         """Wait, at most `patience` [s], until another operator may have the robot that its hosts have left."""
-        wait_until(lambda: not self.board.firmware.is_taken(self.board.now), patience)
+        wait_until(lambda: not self.board.firmware.has_operator(self.board.now), patience)
 
     def stop(self) -> str:
         """End it; return the line that sums up."""

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from edited import edited_policy, maxitaur
+from edited import modified_policy, maxitaur
 
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -19,7 +19,7 @@ DDS = "--link dds --interface lo"
 
 
 @dataclass(frozen=True)
-class Refusal:
+class RejectedCommand:
     """A command line that ends with one line on standard error, and leaves no file behind."""
 
     line: str
@@ -32,10 +32,10 @@ class Refusal:
     """A package that is not there."""
 
 
-def of(command: str, lines: dict[str, str | tuple[str, ...]], *needs: str, hidden: str = "") -> list[Refusal]:
+def of(command: str, lines: dict[str, str | tuple[str, ...]], *needs: str, hidden: str = "") -> list[RejectedCommand]:
     """Return the refusals of a command, by its other words."""
     return [
-        Refusal(f"{command} {words}".strip(), (parts,) if isinstance(parts, str) else parts, needs, hidden)
+        RejectedCommand(f"{command} {words}".strip(), (parts,) if isinstance(parts, str) else parts, needs, hidden)
         for words, parts in lines.items()
     ]
 
@@ -48,7 +48,7 @@ Change = Callable[[dict[str, Any]], object]
 
 def policy(change: Change, name: str = "trot") -> Callable[[Path, MakeRun], object]:
     """Return what writes a policy that ships with another contract."""
-    return lambda path, make_run: edited_policy(path, change, name)
+    return lambda path, make_run: modified_policy(path, change, name)
 
 
 def changed(**values: Any) -> Callable[[Path, MakeRun], object]:
@@ -71,7 +71,7 @@ def widen_feedback(contract: dict[str, Any]) -> None:
 
 def write_policy_of_maxitaur(path: Path, make_run: MakeRun) -> None:
     robot = maxitaur(path.parent / "maxitaur")
-    edited_policy(path, lambda contract: contract.update(robot="maxitaur", description=str(robot)), "trot")
+    modified_policy(path, lambda contract: contract.update(robot="maxitaur", description=str(robot)), "trot")
 
 
 def write_stale_policy(path: Path, make_run: MakeRun) -> None:
@@ -216,12 +216,12 @@ PARAMS_FILES = {
 }
 
 
-def of_params_files(command: str, *needs: str) -> list[Refusal]:
+def reject_params_files(command: str, *needs: str) -> list[RejectedCommand]:
     """Return a command's refusals of files of parameters that do not fit."""
     return of(command, {f"--params {name}": part for name, part in PARAMS_FILES.items()}, *needs)
 
 
-REFUSALS = [
+REJECTED_COMMANDS = [
     *of(
         "",
         {
@@ -280,7 +280,7 @@ REFUSALS = [
         "torch",
         "mujoco",
     ),
-    *of_params_files("train trot", "torch", "mujoco"),
+    *reject_params_files("train trot", "torch", "mujoco"),
     *of(
         "adopt theirs.onnx",
         {
@@ -361,7 +361,7 @@ REFUSALS = [
         "mujoco",
         "onnx",
     ),
-    *of_params_files("evaluate trot --out o", "mujoco"),
+    *reject_params_files("evaluate trot --out o", "mujoco"),
     *of(
         "evaluate sensitivity",
         {
@@ -375,7 +375,7 @@ REFUSALS = [
         "mujoco",
         "matplotlib",
     ),
-    *of_params_files("evaluate sensitivity trot", "mujoco", "matplotlib"),
+    *reject_params_files("evaluate sensitivity trot", "mujoco", "matplotlib"),
     *of(
         "gap",
         {
@@ -410,7 +410,7 @@ REFUSALS = [
         "matplotlib",
         "onnx",
     ),
-    *of_params_files("gap trot --to mujoco", "mujoco", "matplotlib"),
+    *reject_params_files("gap trot --to mujoco", "mujoco", "matplotlib"),
     *of(
         "show",
         {
@@ -444,7 +444,7 @@ REFUSALS = [
         "viser",
         "imageio_ffmpeg",
     ),
-    *of_params_files("show trot --out o.mp4", "mujoco", "imageio_ffmpeg"),
+    *reject_params_files("show trot --out o.mp4", "mujoco", "imageio_ffmpeg"),
     *of(
         "emulate",
         {

@@ -28,7 +28,7 @@ def test_columns_are_the_declared_fields_with_sizes_of_a_record():
     assert list(columns_of(Pair)) == ["time", "force"]
     force = columns_of(Pair)["force"]
     assert (force.unit, force.frame, force.known) == ("N", "world", False)
-    assert force.sized({"T": 7, "L": 4}) == (7, 4, 3)
+    assert force.shape_for({"T": 7, "L": 4}) == (7, 4, 3)
     assert Pair().time.size == 0
 
 

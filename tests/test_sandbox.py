@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from surefoot import sandbox
-from surefoot.sandbox import Ending, Limits, run_module
+from surefoot.sandbox import ProcessResult, Limits, run_module
 
 LIMITS = "sandbox.Limits(memory=16 << 30, time=60, patience=60)"
 
@@ -61,7 +61,7 @@ def test_a_process_without_rights_can_end_itself_and_signal_no_other():
 def program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     """A function that runs Python text as a module within limits."""
 
-    def run(text: str, limits: Limits, data: bytes = b"") -> Ending:
+    def run(text: str, limits: Limits, data: bytes = b"") -> ProcessResult:
         start = f"from surefoot import sandbox\nsandbox.limit_resources(sandbox.{limits})\n"
         (tmp_path / "stranger_program.py").write_text(start + text)
         monkeypatch.syspath_prepend(tmp_path)
@@ -75,8 +75,8 @@ QUICK = Limits(memory=1 << 30, time=1.0, patience=20.0)
 
 def test_output_and_messages_are_told_apart(program):
     text = "import sys\nfile = sandbox.take_output()\nprint('noise')\nfile.write(sys.stdin.buffer.read() * 2)"
-    assert program(text, QUICK, b"\0x") == Ending(0, b"\0x\0x", "noise")
-    assert program("import sys\nprint(sys.argv[1], file=sys.stderr)\nsys.exit(2)", QUICK) == Ending(2, b"", "a word")
+    assert program(text, QUICK, b"\0x") == ProcessResult(0, b"\0x\0x", "noise")
+    assert program("import sys\nprint(sys.argv[1], file=sys.stderr)\nsys.exit(2)", QUICK) == ProcessResult(2, b"", "a word")
 
 
 def test_a_process_sees_no_passwords(program, monkeypatch: pytest.MonkeyPatch):

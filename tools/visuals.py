@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import LOOKS, Appearance, VisualPart
+from surefoot.robot.appearance import VISUALS_FILE, Appearance, VisualPart
 
 SIDES = 20
 """Number of corners of a circle."""
@@ -346,7 +346,7 @@ ROBOTS = {draw.__name__: draw for draw in (go2, minitaur, pupper_v2, solo8)}
 
 if __name__ == "__main__":
     for name, draw in ROBOTS.items():
-        path: Path = RobotDescription.load(name).folder / LOOKS
+        path: Path = RobotDescription.load(name).folder / VISUALS_FILE
         visuals = appearance(draw)
         visuals.save(path)
         print(f"{name}: {sum(len(part.faces) for part in visuals.parts)} triangles, {path.stat().st_size / 1e3:.0f} kB")

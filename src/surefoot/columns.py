@@ -38,7 +38,7 @@ class Column:
     is_fraction: bool = False
     """Whether values lie between 0 and 1."""
 
-    def sized(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
+    def shape_for(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
         """Return the shape for sizes by letter."""
         return tuple(int(size) if size.isdigit() else sizes[size] for size in self.shape.split(", "))
 
@@ -48,7 +48,7 @@ class Column:
         Raises:
             SurefootError: values that are no numbers, or another shape.
         """
-        array, shape = np.asarray(value), self.sized(sizes)
+        array, shape = np.asarray(value), self.shape_for(sizes)
         if array.dtype.kind not in "biuf":
             raise SurefootError(f"{name} holds {array.dtype}, but must hold numbers")
         if may_be_nan and not array.size:

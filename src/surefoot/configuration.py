@@ -24,9 +24,9 @@ T = TypeVar("T")
 _KIND = {float: "a number", int: "a whole number", str: "text", bool: "true or false", type(None): "nothing"}
 _DEPTH = 50
 """Tables and lists in each other that a file of YAML may have; other readers end at Python's own limit."""
-_NODES = 200_000
+_MAX_NODES = 200_000
 """Values that a file of YAML may have, each as often as an alias repeats it."""
-_TEXT = 4096
+_MAX_TEXT_LENGTH = 4096
 """Characters that a text may have."""
 _KEY = 100
 """Characters of an unknown key that messages show."""
@@ -55,16 +55,16 @@ class Within:
             for place, item in enumerate(value):
                 self.check(f"{where}[{place}]", item)
         elif isinstance(value, str):
-            if len(value) > _TEXT or "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
-                rule = f"it must be Unicode text of {_TEXT} characters at most, none of them NUL"
+            if len(value) > _MAX_TEXT_LENGTH or "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
+                rule = f"it must be Unicode text of {_MAX_TEXT_LENGTH} characters at most, none of them NUL"
                 raise SurefootError(f"{where} is {quote(value)}; {rule}")
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            rule = self._broken(value)
+            rule = self._violated_rule(value)
             if rule:
                 shown = f"{value:g}" if isinstance(value, float) else quote(value)
                 raise SurefootError(f"{where} is {shown}; it must be {rule}")
 
-    def _broken(self, value: float) -> str:
+    def _violated_rule(self, value: float) -> str:
         """Return the rule that a number breaks; empty if it breaks none."""
         if isinstance(value, float) and math.isnan(value):
             return "a finite number"
@@ -156,8 +156,8 @@ class _Loader(yaml.SafeLoader):
             parts = [] if isinstance(node.value, str) else node.value
             inner = [part for pair in parts for part in pair] if isinstance(node, yaml.MappingNode) else parts
             self._sizes[id(node)] = 1 + sum(self._sizes[id(part)] for part in inner)
-        if self._sizes[id(node)] > _NODES:
-            raise yaml.YAMLError(f"it holds more than {_NODES} values")
+        if self._sizes[id(node)] > _MAX_NODES:
+            raise yaml.YAMLError(f"it holds more than {_MAX_NODES} values")
         return node
 
 

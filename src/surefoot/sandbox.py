@@ -83,13 +83,13 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Ending:
+class ProcessResult:
     """How a process ended, and what it gave."""
 
     code: int
     """Exit code; the negative number of the signal that ended it."""
     output: bytes
-    """What it wrote to `take_output`."""
+    """What it wrote to `claim_stdout`."""
     message: str
     """Last line of what it printed."""
 
@@ -104,7 +104,7 @@ class Ending:
         return self.message or f"it ended with code {self.code}"
 
 
-def run_module(module: str, words: Sequence[str], limits: Limits, data: bytes = b"") -> Ending:
+def run_module(module: str, words: Sequence[str], limits: Limits, data: bytes = b"") -> ProcessResult:
     """Run a module as a program in a process of its own, which is killed when it takes too long or at Ctrl-C.
 
     The process must limit its memory and processor time: see `limit_resources` and `enter`.
@@ -137,10 +137,10 @@ def run_module(module: str, words: Sequence[str], limits: Limits, data: bytes = 
         errors.seek(max(errors.seek(0, os.SEEK_END) - _MESSAGE_BYTES, 0))
         lines = errors.read().decode(errors="replace").strip().splitlines()
         output.seek(0)
-        return Ending(code, output.read(), lines[-1] if lines else "")
+        return ProcessResult(code, output.read(), lines[-1] if lines else "")
 
 
-def take_output() -> BufferedWriter:
+def claim_stdout() -> BufferedWriter:
     """Return this process's standard output, to which only a result is written; what else prints goes to stderr."""
     output = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)

@@ -22,7 +22,7 @@ INTERRUPTED = 130
 _PATIENCE = 3.0
 """Time [s] that a process has to end after a second Ctrl-C."""
 
-_interrupted, _insisted, _own_process = threading.Event(), threading.Event(), threading.Event()
+_interrupted, _interrupted_twice, _own_process = threading.Event(), threading.Event(), threading.Event()
 
 
 class Interrupt(KeyboardInterrupt):
@@ -63,8 +63,8 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     if not (_interrupted.is_set() and _own_process.is_set()):
         _interrupted.set()
         raise Interrupt
-    elif not _insisted.is_set():
-        _insisted.set()
+    elif not _interrupted_twice.is_set():
+        _interrupted_twice.set()
         # `threading` may be at work in what this interrupts, and hold a lock.
         _thread.start_new_thread(_end_soon, ())
 

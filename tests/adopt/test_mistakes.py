@@ -9,7 +9,7 @@ import pytest
 from foreign import perceptron
 
 from surefoot.adopt.builder import build_policy
-from surefoot.adopt.examination import Corrected, stated_specification
+from surefoot.adopt.examination import CorrectedPolicy, require_specification
 from surefoot.adopt.mistakes import corrections, fits, joint_orders
 from surefoot.adopt.onnx_network import OnnxNetwork
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification
@@ -89,7 +89,7 @@ def test_orders_of_joints_are_the_usual_ones(go2):
 
 def test_a_corrected_policy_is_the_policy_of_the_corrected_specification(go2, network, tried):
     policy = PolicyRuntime.parse(build_policy(SPECIFICATION, network, go2, "own", {}))
-    assert stated_specification(policy.contract) == SPECIFICATION
+    assert require_specification(policy.contract) == SPECIFICATION
     some = [one.specification for one in tried[::6]]
     random = np.random.default_rng(0)
     contract = policy.contract
@@ -97,7 +97,7 @@ def test_a_corrected_policy_is_the_policy_of_the_corrected_specification(go2, ne
     raw = random.normal(scale=0.2, size=(3, contract.history, len(names)))
     raw[..., [name.startswith("angle.") for name in names]] += np.tile([0.0, 0.8, -1.5], 4)
     rows = np.tile(raw.reshape(3, -1), (len(some), 1))
-    mine = Corrected(policy, go2, some).feedback(rows)
+    mine = CorrectedPolicy(policy, go2, some).feedback(rows)
     low, high = go2.motor_limits
     for k, specification in enumerate(some):
         whole = PolicyRuntime.parse(build_policy(specification, network, go2, "corrected", {}))
@@ -110,4 +110,4 @@ def test_only_adopted_policies_have_a_specification():
     from surefoot.api.policies import find_policy
 
     with pytest.raises(SurefootError, match="policy 'go2-steer' was not adopted"):
-        stated_specification(PolicyRuntime.load(find_policy("go2-steer")).contract)
+        require_specification(PolicyRuntime.load(find_policy("go2-steer")).contract)

@@ -12,7 +12,7 @@ from foreign import DATA, DEPLOY, perceptron
 
 from surefoot.adopt.adoption import adopt
 from surefoot.adopt.formats.python_values import Computed, read_classes
-from surefoot.adopt.formats.reading import matched_joints, why_unmeasured
+from surefoot.adopt.formats.reading import match_joints, unmeasured_reason
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 
@@ -81,7 +81,7 @@ def refused(take, *words, **options) -> str:
     ],
 )
 def test_what_no_sensor_gives_is_known_by_its_name(take, name, what):
-    assert what in why_unmeasured(name)
+    assert what in unmeasured_reason(name)
     manual = {**MANUAL, "observations": [{"term": name}, *MANUAL["observations"]]}
     message = refused(take, "manual", manual, 48)
     assert f"observations[0].term is '{name}', which is the {what}" in message
@@ -92,7 +92,7 @@ def test_what_no_sensor_gives_is_known_by_its_name(take, name, what):
     "name", ["ang_vel", "joint_vel", "dof_velocities", "gyro", "velocity_commands", "gravity", "phase"]
 )
 def test_other_names_are_not_taken_for_what_no_sensor_gives(name):
-    assert why_unmeasured(name) is None
+    assert unmeasured_reason(name) is None
 
 
 def test_joints_match_by_what_frameworks_add_to_their_names(take, go2):
@@ -100,8 +100,8 @@ def test_joints_match_by_what_frameworks_add_to_their_names(take, go2):
     specification = take("manual", {**MANUAL, "joints": short})
     assert specification.joints == go2.motor_names
     assert specification.notes["names"] == "names of joints: FR_hip is go2's FR_hip_joint, and so on"
-    assert matched_joints(["fr-hip", "FR.Thigh.joint"], go2.motor_names) == ("FR_hip_joint", "FR_thigh_joint")
-    assert matched_joints(["FR_hip", "FR_knee"], go2.motor_names) is None
+    assert match_joints(["fr-hip", "FR.Thigh.joint"], go2.motor_names) == ("FR_hip_joint", "FR_thigh_joint")
+    assert match_joints(["FR_hip", "FR_knee"], go2.motor_names) is None
     message = refused(take, "manual", {**MANUAL, "joints": ["FR_knee", *short[1:]]})
     assert "joints are FR_knee" in message
 

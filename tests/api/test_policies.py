@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from edited import edited_policy
+from edited import modified_policy
 
 pytest.importorskip("gymnasium")
 
-from surefoot.api.policies import find_policy, load_policies, load_policy, open_policy, shipped_policies
+from surefoot.api.policies import find_policy, load_policies, load_policy, open_policy, released_policies
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
@@ -27,7 +27,7 @@ def edited(path: Path, changes: dict[str, Any]) -> Path:
             *tables, key = name.split(".")
             functools.reduce(dict.__getitem__, tables, contract)[key] = value
 
-    return edited_policy(path, edit, "trot")
+    return modified_policy(path, edit, "trot")
 
 
 @pytest.mark.parametrize(
@@ -70,6 +70,6 @@ def test_policy_keeps_its_control_step_and_gains_on_another_robot(tmp_path: Path
     assert (params.control_step[0], params.servo_kp[0, 0]) == (0.008, 2.0)
 
 
-@pytest.mark.parametrize("policy", shipped_policies())
+@pytest.mark.parametrize("policy", released_policies())
 def test_shipped_policy_fits_its_robot(policy: str):
     open_policy(find_policy(policy))

@@ -62,7 +62,7 @@ def deploy(folder: Path, *words: str, event: Callable[[], object] | None = None)
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(Watch()),
         mock.patch.multiple("surefoot.deploy.motion_runner", **QUICK),
-        mock.patch.multiple("surefoot.deploy.deployment", PUNCTUAL=20),
+        mock.patch.multiple("surefoot.deploy.deployment", TIMING_STEPS=20),
     ):
         code = main(["deploy", "go2-steer", *LINK, "--out", str(folder), "--json", *words])
     running.set()

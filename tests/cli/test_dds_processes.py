@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edited import edited_policy
+from edited import modified_policy
 from fault_bench import QUICK, QUICK_UP
 from processes import refused, run_surefoot
 
@@ -133,7 +133,7 @@ def test_messages_of_another_length_are_refused(body: Go2) -> None:
 
 def test_a_policy_of_another_rate_is_refused(body: Go2, tmp_path: Path) -> None:
     body.reset()
-    policy = edited_policy(tmp_path / "p.onnx", lambda contract: contract.update(control_step=0.011), "go2-steer")
+    policy = modified_policy(tmp_path / "p.onnx", lambda contract: contract.update(control_step=0.011), "go2-steer")
     done = run_surefoot("deploy", policy, *link(DOMAIN), cwd=tmp_path)
     assert done.returncode == 2
     phase, error = done.stderr.splitlines()

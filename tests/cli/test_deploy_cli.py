@@ -26,7 +26,7 @@ from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_yaw
 from surefoot.task.config import load_task
 from surefoot.task.contract_mapping import contract_from_task
-from surefoot.task.height_scan import MAP, scan_heights
+from surefoot.task.height_scan import POLICY_GRID, scan_heights
 from surefoot.task.partial_trace import recover
 from surefoot.task.trace import EpisodeTrace
 
@@ -176,7 +176,7 @@ def test_a_policy_sees_the_step_that_an_emulated_robot_stands_before(seeing: Pat
     position, quat = (np.array([rows[name][at] for name in names]) for names in ("xyz", ("qw", "qx", "qy", "qz")))
     expected = scan_heights(
         read_map(tmp_path / "step.npz"),
-        MAP.points(RobotDescription.load("go2")),
+        POLICY_GRID.points(RobotDescription.load("go2")),
         position[None],
         np.atleast_1d(quat_yaw(quat)),
     )[0]

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy
+from edited import modified_policy
 from processes import SUREFOOT, refused, run_surefoot, surefoot
 
 pytest.importorskip("torch")
@@ -45,7 +45,7 @@ def policy(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         contract["name"] = "beginner"
         contract["task"] |= {"max_steps": 240, "params": {}, "pushes": {"enabled": False}}
 
-    return edited_policy(tmp_path_factory.mktemp("policy") / "beginner.onnx", change, trained / "policy.onnx")
+    return modified_policy(tmp_path_factory.mktemp("policy") / "beginner.onnx", change, trained / "policy.onnx")
 
 
 def test_help_is_fast_and_names_the_commands():

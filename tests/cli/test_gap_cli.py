@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy
+from edited import modified_policy
 from processes import refused, surefoot
 
 pytest.importorskip("mujoco")
@@ -31,14 +31,14 @@ RUNS = ["run_000.npz", "run_001.npz", "run_002.npz"]
 def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder with trot.onnx and gallop.onnx, whose episodes last 60 control steps; the trot has constraint motors."""
     folder = tmp_path_factory.mktemp("policies")
-    edited_policy(folder / "gallop.onnx", lambda contract: contract["task"].update(max_steps=60))
+    modified_policy(folder / "gallop.onnx", lambda contract: contract["task"].update(max_steps=60))
     latencies = {"control_latency": 0.0, "servo_latency": 0.0}
 
     def make_ideal(contract: dict[str, Any]) -> None:
         contract["task"].update(max_steps=60, actuator="constraint")
         contract.update(latencies)
 
-    edited_policy(folder / "trot.onnx", make_ideal, "trot")
+    modified_policy(folder / "trot.onnx", make_ideal, "trot")
     return folder
 
 

@@ -20,7 +20,7 @@ import pytest
 from processes import SUREFOOT, EmulatorHere, emulators, printed_commands, refused, surefoot
 
 from surefoot.api.extras import install_command
-from surefoot.cli.helpers.identify_run import refuse_another_robot
+from surefoot.cli.helpers.identify_run import check_robot
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
@@ -217,7 +217,7 @@ def test_ctrl_c_ends_an_experiment_and_keeps_the_recording(hanging: EmulatorHere
 
 def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):
     message = make_handshake(robot, Limits.from_robot(robot), "", robot.timing.servo_step)
-    refuse_another_robot(message, robot)
+    check_robot(message, robot)
     signs = np.array(message.motor_signs, float)
     signs[3] *= -1
     for other, why in (
@@ -227,7 +227,7 @@ def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDe
         (replace(message, motor_signs=signs), f"motor signs: {robot.motor_names[3]} has "),
     ):
         with pytest.raises(SurefootError, match=re.escape(f"the robot is not as on its data sheet: {why}")):
-            refuse_another_robot(other, robot)
+            check_robot(other, robot)
 
 
 class Terminal(io.StringIO):

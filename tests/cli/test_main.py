@@ -8,7 +8,7 @@ import pytest
 from processes import refused, surefoot
 
 from surefoot.cli import identify, robot, robot_firmware, study
-from surefoot.cli.main import COMMANDS, FORMER, GROUPS
+from surefoot.cli.main import COMMANDS, RENAMED_COMMANDS, GROUPS
 
 ACTIONS = {
     "evaluate": {"sensitivity"},
@@ -19,12 +19,12 @@ ACTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", FORMER)
+@pytest.mark.parametrize("name", RENAMED_COMMANDS)
 def test_a_former_command_answers_with_the_present_one(name: str):
     done = surefoot(name, "x", "--help")
     refused(done, f"'{name}' is no command any more; type surefoot ")
     assert name not in COMMANDS
-    for text in FORMER[name].split("surefoot ")[1:]:
+    for text in RENAMED_COMMANDS[name].split("surefoot ")[1:]:
         command, *rest = text.split()
         assert command in COMMANDS
         assert not rest or rest[0].isupper() or rest[0] in ACTIONS[command]

@@ -83,7 +83,7 @@ def test_the_drive_page_answers(run: Path, plugin: Path) -> None:
 @pytest.fixture
 def emulate() -> Iterator[Callable[..., Any]]:
     """Start emulators that end with the test, whose robots stand up soon."""
-    with mock.patch.multiple(motion_runner, UP=0.3, DOWN=0.3), emulators(EmulatorHere) as start:
+    with mock.patch.multiple(motion_runner, UP=0.3, SHUTDOWN_TIME=0.3), emulators(EmulatorHere) as start:
         yield start
 
 

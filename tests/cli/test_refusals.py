@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from processes import refused, surefoot
-from refusals import FILES, REFUSALS, REPOSITORY, MakeRun, Refusal
+from refusals import FILES, REJECTED_COMMANDS, REPOSITORY, MakeRun, RejectedCommand
 
 from surefoot.api.extras import install_command
 
@@ -16,11 +16,11 @@ from surefoot.api.extras import install_command
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize(
     "refusal",
-    REFUSALS,
-    ids=[re.sub(r"[^ -~]", "?", f"{one.hidden and f'no {one.hidden}: '}{one.line}") for one in REFUSALS],
+    REJECTED_COMMANDS,
+    ids=[re.sub(r"[^ -~]", "?", f"{one.hidden and f'no {one.hidden}: '}{one.line}") for one in REJECTED_COMMANDS],
 )
 def test_a_command_is_refused_in_one_line(
-    refusal: Refusal, make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    refusal: RejectedCommand, make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for package in refusal.needs:
         pytest.importorskip(package)

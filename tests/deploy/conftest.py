@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from surefoot.deploy.board.firmware import Firmware, MotorOrder, Sensors, Vitals
+from surefoot.deploy.board.firmware import Firmware, MotorCommand, Sensors, Vitals
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.loop import RunMonitor, Snapshot
@@ -64,7 +64,7 @@ class ToyRobot:
             self._ticked += 1000
             self._report_until(self._ticked)
             vitals = Vitals(self.angle, 0.0, 16.0, 30.0)
-            order: MotorOrder = firmware.tick(self._ticked, vitals)
+            order: MotorCommand = firmware.tick(self._ticked, vitals)
             if firmware.armed:
                 self.angle = order.values.copy()
         self._report_until(now)

@@ -49,7 +49,7 @@ def test_the_offset_is_infinite_without_a_frame():
     sync = ClockSync()
     assert sync.offset == math.inf
     sync.add(0.0, 5.0)
-    sync.forget()
+    sync.reset()
     assert sync.offset == math.inf
 
 

@@ -11,7 +11,7 @@ import pytest
 
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.controller import Controller
-from surefoot.deploy.deployment import PUNCTUAL, TRIES, Deployment
+from surefoot.deploy.deployment import TIMING_STEPS, TRIES, Deployment
 from surefoot.deploy.messages import Arm, Ping, Position
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.serial.serial_link import LEAD
@@ -74,7 +74,7 @@ def test_a_punctual_computer_checks_its_timing_once_and_commands_nothing(deploym
     assert Ping in kinds
     assert not kinds & {Arm, Position}
     spent = toy.received[-1][0]
-    assert PUNCTUAL * STEP < spent < (PUNCTUAL + 40) * STEP
+    assert TIMING_STEPS * STEP < spent < (TIMING_STEPS + 40) * STEP
 
 
 def test_a_computer_that_is_slow_at_first_passes(deployment, computer, monitor):

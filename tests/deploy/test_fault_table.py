@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 import pytest
 from compiled_firmware import compiled, needs_gcc
-from edited import edited_policy
+from edited import modified_policy
 from processes import Emulator, EmulatorHere, emulators
 
 from surefoot.deploy.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
@@ -122,8 +122,8 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for kind, inputs, output in (("Relu", "left", "left_only"), *added, ("Add", "plain extra", "feedback")):
                 graph.node.append(helper.make_node(kind, inputs.split(), [output]))
 
-        edited_policy(folder / f"{name}.onnx", policy="trot", graph=extend)
-    edited_policy(folder / "leaning.onnx", lambda contract: contract["task"].update(fall_angle=LEAN), "trot")
+        modified_policy(folder / f"{name}.onnx", policy="trot", graph=extend)
+    modified_policy(folder / "leaning.onnx", lambda contract: contract["task"].update(fall_angle=LEAN), "trot")
     return folder
 
 

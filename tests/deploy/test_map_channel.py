@@ -24,7 +24,7 @@ from surefoot.policy.contract import Contract, HeightMap
 from surefoot.robot.commands import STAND
 from surefoot.task.config import load_task
 from surefoot.task.contract_mapping import contract_from_task
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 
 GRID = HeightMap(ahead=(-0.2, 0.0, 0.2), left=(-0.1, 0.1), age=0.04)
 FALLS = 0.01
@@ -116,7 +116,7 @@ def run(toy, link, robot, monitor, tmp_path) -> Callable[..., SimpleNamespace]:
             if toy.firmware.armed and not armed:
                 armed.append(moment)
             if sends(moment - armed[0] - UP if armed else -1.0):
-                send_map(maps.port, [[-UNDER - FALLS * moment] * len(MAP.left)] * len(MAP.ahead))
+                send_map(maps.port, [[-UNDER - FALLS * moment] * len(POLICY_GRID.left)] * len(POLICY_GRID.ahead))
             return readings
 
         toy.sensors = sensors
@@ -141,7 +141,7 @@ def test_a_policy_sees_its_map_and_follows_commands_while_it_comes(run, monitor)
     assert done.trace.command == pytest.approx(np.tile(WALK, (150, 1)))
     columns = done.policy.contract.columns
     seen = done.trace.observation[:, [columns.index(name) for name in columns if name.startswith("ground")]]
-    assert seen.shape == (150, len(MAP.ahead) * len(MAP.left))
+    assert seen.shape == (150, len(POLICY_GRID.ahead) * len(POLICY_GRID.left))
     sent = done.trace.meta["robot_time_start"] + done.trace.time - 2 * done.policy.contract.control_step
     np.testing.assert_array_equal(done.trace.height_map, seen)
     assert done.trace.meta["height_map"]["ahead"] == pytest.approx(done.policy.contract.height_map.ahead)

@@ -13,7 +13,7 @@ from surefoot.deploy.map_check import check_at_rest, check_grid, check_standing
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import HeightMap
 from surefoot.robot import RobotDescription
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 
 LEVEL = [0.0, 0.0, 0.0]
 
@@ -25,7 +25,7 @@ def go2() -> RobotDescription:
 
 @pytest.fixture(scope="module")
 def grid(go2) -> HeightMap:
-    return HeightMap(*MAP.scale(go2), age=0.04)
+    return HeightMap(*POLICY_GRID.scale(go2), age=0.04)
 
 
 def heights(grid: HeightMap, value: float) -> np.ndarray:

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from surefoot.deploy.pacer import LoopTiming, Pacer, undisturbed
+from surefoot.deploy.pacer import LoopTiming, Pacer, real_time_priority
 
 
 class HandClock:
@@ -83,7 +83,7 @@ def test_undisturbed_collects_no_garbage_and_ends_also_after_an_exception():
     before = sys.getswitchinterval()
 
     def fail() -> None:
-        with undisturbed():
+        with real_time_priority():
             assert not gc.isenabled()
             assert sys.getswitchinterval() < before
             raise ZeroDivisionError
@@ -101,6 +101,6 @@ def test_undisturbed_works_without_the_right_to_priority(monkeypatch):
 
     monkeypatch.setattr(os, "sched_setscheduler", refused)
     monkeypatch.setattr(os, "setpriority", refused)
-    with undisturbed():
+    with real_time_priority():
         assert not gc.isenabled()
     assert gc.isenabled()

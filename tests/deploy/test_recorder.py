@@ -18,9 +18,9 @@ from surefoot.columns import RowLayout
 from surefoot.deploy import background_file
 from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.recorder import Recorder
-from surefoot.deploy.run_saver import next_free
+from surefoot.deploy.run_saver import next_free_path
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import TraceHead, recover, row_bytes
+from surefoot.task.partial_trace import TraceHeader, recover, row_bytes
 
 STEP = 0.006
 META = {
@@ -32,7 +32,7 @@ META = {
     "observation_names": ["x", "y", "z"],
     "ended": "time",
 }
-HEAD = TraceHead.of_robot(META, actions=8, commands=False, robot_archive=b"")
+HEAD = TraceHeader.of_robot(META, actions=8, commands=False, robot_archive=b"")
 LAYOUT = HEAD.layout
 
 
@@ -159,18 +159,18 @@ def test_a_partial_file_of_version_1_is_read(recorded, tmp_path, commands):
         (b"[1]\n", "is not one"),
         (b'{"kind": "other"}\n', "is not one"),
         (b"\xff\xfe\n", "is not one"),
-        (TraceHead(LAYOUT, {}).line(), "holds no whole control step"),
-        (TraceHead(RowLayout({}), {}).line() + bytes(800), "holds no whole control step"),
-        (TraceHead(LAYOUT, {}).line() + bytes(8 * LAYOUT.width), "trace: meta.robot, meta.world, .* are missing"),
+        (TraceHeader(LAYOUT, {}).line(), "holds no whole control step"),
+        (TraceHeader(RowLayout({}), {}).line() + bytes(800), "holds no whole control step"),
+        (TraceHeader(LAYOUT, {}).line() + bytes(8 * LAYOUT.width), "trace: meta.robot, meta.world, .* are missing"),
         (HEAD.line().replace(b'"version": 2', b'"version": 3'), "is of version 3; surefoot reads versions 1 and 2"),
-        (TraceHead(RowLayout({"time": -1}), META).line() + bytes(800), "columns.time is -1; it must be 0 or more"),
+        (TraceHeader(RowLayout({"time": -1}), META).line() + bytes(800), "columns.time is -1; it must be 0 or more"),
         (
-            TraceHead(RowLayout({"base_quat_world": 4}), META, {"base_quat_world": np.zeros(3)}).line() + bytes(32),
+            TraceHeader(RowLayout({"base_quat_world": 4}), META, {"base_quat_world": np.zeros(3)}).line() + bytes(32),
             r"column base_quat_world \(T\+1, 4\) has 4 numbers in a row",
         ),
-        (TraceHead(RowLayout({"roll_pitch_yaw": 6}), META).line() + bytes(48), "has 6 numbers in a row"),
-        (TraceHead(RowLayout({"foot_position_world": 7}), META).line() + bytes(56), "has 7 numbers in a row"),
-        (TraceHead(RowLayout({"time": 1}), META).line() + bytes(8), "has shape"),
+        (TraceHeader(RowLayout({"roll_pitch_yaw": 6}), META).line() + bytes(48), "has 6 numbers in a row"),
+        (TraceHeader(RowLayout({"foot_position_world": 7}), META).line() + bytes(56), "has 7 numbers in a row"),
+        (TraceHeader(RowLayout({"time": 1}), META).line() + bytes(8), "has shape"),
         (b'{"kind": "surefoot-partial-trace", "meta": {}, "motors": 8}', "is not one: 'legs'"),
     ],
 )
@@ -262,7 +262,7 @@ os.killpg(0, signal.SIGKILL)
 
 
 def test_names_are_numbered_beside_whole_and_partial_runs(tmp_path):
-    assert next_free(tmp_path / "new").name == "run_000.npz"
+    assert next_free_path(tmp_path / "new").name == "run_000.npz"
     (tmp_path / "run_000.npz").touch()
     (tmp_path / "run_001.npz.partial").touch()
-    assert next_free(tmp_path) == tmp_path / "run_002.npz"
+    assert next_free_path(tmp_path) == tmp_path / "run_002.npz"

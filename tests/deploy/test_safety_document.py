@@ -86,10 +86,10 @@ def test_every_fault_of_the_emulator_is_on_its_page(emulator_page: str):
 
 def test_every_phase_of_a_run_stands_in_the_table(document: str):
     from surefoot.deploy import motion_runner as motion
-    from surefoot.deploy.deployment import PUNCTUAL
+    from surefoot.deploy.deployment import TIMING_STEPS
 
-    assert f"| check timing | {PUNCTUAL * 0.006:.1f} s |" in document
-    flat, fold, pause = motion.FLAT, motion.FOLD, motion.PAUSE
+    assert f"| check timing | {TIMING_STEPS * 0.006:.1f} s |" in document
+    flat, fold, pause = motion.FLAT, motion.FOLD_TIME, motion.PAUSE_TIME
     assert f"| lay legs flat, draw legs in, sit | {flat + fold + pause:.1f} s |" in document
     assert f"| stand up, stand | {motion.RISE + motion.HOLD:.1f} s |" in document
 

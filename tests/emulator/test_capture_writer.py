@@ -9,13 +9,13 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.board.signals import MotorOrder
+from surefoot.deploy.board.signals import MotorCommand
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.capture_writer import CaptureWriter
 from surefoot.emulator.plant import Plant
 from surefoot.errors import SurefootError
 
-DAMPED = MotorOrder(Mode.DISARMED, np.zeros(8))
+DAMPED = MotorCommand(Mode.DISARMED, np.zeros(8))
 
 
 @pytest.fixture

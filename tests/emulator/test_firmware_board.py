@@ -22,7 +22,7 @@ from firmware import fuzz
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
-from surefoot.deploy.board.signals import MotorOrder, Sensors
+from surefoot.deploy.board.signals import MotorCommand, Sensors
 from surefoot.deploy.messages import (
     Arm,
     Fault,
@@ -204,7 +204,7 @@ class Stm32:
                 effort = self.process.stdout.read(4 * plant.robot.num_motors)
                 if len(effort) < 4 * plant.robot.num_motors:
                     return
-                plant.step(MotorOrder(Mode.PWM, np.frombuffer(effort, "<f4").astype(float)))
+                plant.step(MotorCommand(Mode.PWM, np.frombuffer(effort, "<f4").astype(float)))
 
     def send(self, message: Message) -> None:
         self.number += 1

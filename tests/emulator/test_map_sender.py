@@ -13,11 +13,11 @@ from surefoot.deploy.map_channel import MapChannel
 from surefoot.emulator.map_sender import PERIOD, MapSender
 from surefoot.emulator.plant import Plant
 from surefoot.policy.contract import HeightMap
-from surefoot.task.height_scan import MAP, ScanConfig
+from surefoot.task.height_scan import POLICY_GRID, ScanConfig
 
 
 def test_a_map_comes_fifty_times_a_second_with_its_age_and_errors(robot) -> None:
-    plant, grid = Plant(robot), HeightMap(*MAP.scale(robot), age=0.0)
+    plant, grid = Plant(robot), HeightMap(*POLICY_GRID.scale(robot), age=0.0)
     level = -plant.capture().position[2]
     errors = ScanConfig(noise=0.0, drift=0.0, shift=0.0, holes=0.0, delay=3)
     with contextlib.closing(MapChannel(0, grid, clock=lambda: 0.0)) as channel:

@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.board.signals import MotorOrder
+from surefoot.deploy.board.signals import MotorCommand
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.plant import Plant
@@ -19,7 +19,7 @@ from surefoot.world.ground import Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
-DAMPED = MotorOrder(Mode.DISARMED, np.zeros(8))
+DAMPED = MotorCommand(Mode.DISARMED, np.zeros(8))
 
 
 def ideal(robot, **more) -> Plant:
@@ -33,8 +33,8 @@ def test_a_plant_sits_on_its_ground(robot):
     assert raised.capture().contact_ticks.sum() > 0
 
 
-def position(values) -> MotorOrder:
-    return MotorOrder(Mode.POSITION, np.asarray(values, float))
+def position(values) -> MotorCommand:
+    return MotorCommand(Mode.POSITION, np.asarray(values, float))
 
 
 def test_motion_and_readings_are_those_of_a_simulation_to_the_last_bit(robot):
@@ -170,7 +170,7 @@ def test_a_motor_that_gets_a_duty_turns_as_a_dc_motor_does(robot):
     plant = ideal(robot, rack=True)
     duty = np.zeros(8)
     duty[0] = 0.05
-    plant.step(MotorOrder(Mode.PWM, duty))
+    plant.step(MotorCommand(Mode.PWM, duty))
     # At rest: I = duty V / R = .05 * 16 / .186 = 4.30 A, and the table gives .1 N m/A.
     torque = plant.world.actuation.motor_torque[0]
     speed = plant.world.actuation.sample[0, 8:16]
@@ -190,7 +190,7 @@ def test_viscous_friction_slows_a_motor_that_a_duty_turns(robot):
     for _ in range(20):
         speed = plant.world.actuation.sample[0, 8:16].copy()
         for each in (plant, free):
-            each.step(MotorOrder(Mode.PWM, duty))
+            each.step(MotorCommand(Mode.PWM, duty))
     actuation = plant.world.actuation
     assert 0.1 < actuation.sample[0, 8] < 0.8 * free.world.actuation.sample[0, 8]
     np.testing.assert_allclose(actuation.motor_torque[0, 0] - actuation.torque[0, 0], 0.1 * speed[0], rtol=1e-9)
@@ -199,7 +199,7 @@ def test_viscous_friction_slows_a_motor_that_a_duty_turns(robot):
 
 def test_a_duty_is_part_of_the_state_of_a_world_and_gone_after_a_reset(robot):
     plant, other = ideal(robot, rack=True), ideal(robot, rack=True)
-    turning = MotorOrder(Mode.PWM, np.full(8, 0.03))
+    turning = MotorCommand(Mode.PWM, np.full(8, 0.03))
     plant.step(turning)
     other.world.set_state(plant.world.get_state())
     for world in (plant.world, other.world):

@@ -14,7 +14,7 @@ from compiled_firmware import compiled, needs_gcc
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
-from surefoot.deploy.board.signals import MotorOrder
+from surefoot.deploy.board.signals import MotorCommand
 from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
@@ -136,7 +136,7 @@ def test_in_lockstep_the_robot_moves_as_a_simulation_does(emulate_here, robot):
     host.send(Hello(ME, 0.010), 0.0)
     host.run_to(0.030)
     for _ in range(30):
-        plant.step(MotorOrder(Mode.DISARMED, np.zeros(8)))
+        plant.step(MotorCommand(Mode.DISARMED, np.zeros(8)))
     world = SimWorld(robot, 1, config=WorldConfig(rest=(0.0, 0.9)))
     world.set_state(plant.world.get_state())
     set_actuation_params(world.actuation, np.arange(1), world.params)
@@ -193,7 +193,7 @@ def test_in_lockstep_a_host_that_is_gone_loses_the_robot(emulate_here, program):
     process.hosts.remove(first)
     first.send(Ping(9), 0.030)  # its last words are heard
     first.close()
-    while process.board.firmware.is_taken(process.board.now):
+    while process.board.firmware.has_operator(process.board.now):
         time.sleep(0.005)
     second = process.host()
     second.send(Hello(OTHER, 0.010), 7.0)

@@ -70,7 +70,7 @@ size_t get_line(uint8_t *bytes) { size_t size = line_size; memcpy(bytes, line, s
 """
 
 
-class Order(ctypes.Structure):
+class MotorCommand(ctypes.Structure):
     _fields_ = [(name, ctypes.c_float) for name in ("effort", "target", "kp", "kd", "feedforward")]
 
 
@@ -89,7 +89,7 @@ class Drive:
         self.on = self.mute = False
         self.error, self.temperature, self.waited = 0, 31, 0
 
-    def obey(self, data: bytes) -> bytes:
+    def receive(self, data: bytes) -> bytes:
         """Take a frame; return the answer without the drive's number."""
         self.waited = 0
         if data == SWITCH_ON:
@@ -141,7 +141,7 @@ class Board:
         data, carried = (ctypes.c_uint8 * 8)(), []
         while len(carried) < self.room and (number := self.c.get(data)) >= 0:
             carried.append((number, bytes(data)))
-            answer = self.drives[number - 1].obey(bytes(data))
+            answer = self.drives[number - 1].receive(bytes(data))
             if not self.drives[number - 1].mute:
                 self.put(self.answer_id(number), bytes([number]) + answer)
         return carried
@@ -158,7 +158,7 @@ class Board:
 
     def drive(self, orders: Iterable[dict[str, float]]) -> list[tuple[int, bytes]]:
         """Drive the motors by the driver alone; return the frames."""
-        self.c.hal_drive_motors((Order * MOTORS)(*(Order(**order) for order in orders)))
+        self.c.hal_drive_motors((MotorCommand * MOTORS)(*(MotorCommand(**order) for order in orders)))
         return self.exchange()
 
     def wait(self) -> None:

@@ -58,7 +58,7 @@ def make_plan(robot: RobotDescription) -> Callable[..., Plan]:
             Phase("sweep again", "every motor to both sides", 0.3, sweep, use="check"),
         )
         # Legs of a robot on its rack hang down: their motors have further to go than the plan's angles.
-        limits = limits or ExperimentLimits(torque=2.8, angle_room=2.0)
+        limits = limits or ExperimentLimits(torque=2.8, angle_margin=2.0)
         return Plan("motor", True, phases, middle - REACH, middle + REACH, DUTY, limits)
 
     return make

@@ -27,7 +27,7 @@ MakePlan = Callable[..., Plan]
 RunOn = Callable[..., Recording]
 
 
-class Doing(PlainLines):
+class ActionOnPhase(PlainLines):
     """Does something when a phase begins for the first time."""
 
     def __init__(self, phase: str, what: Callable[[], Any]) -> None:
@@ -76,7 +76,7 @@ def test_recordings_in_lockstep_are_identical(emulate: Callable[..., Any], make_
         threading.Timer(0.3, slow.process.send_signal, [signal.SIGCONT]).start()
 
     with emulators(EmulatorHere) as start:
-        recordings = [run_on(start("--lockstep", "--rack").port, plan), run_on(slow.port, plan, Doing("push", hold_up))]
+        recordings = [run_on(start("--lockstep", "--rack").port, plan), run_on(slow.port, plan, ActionOnPhase("push", hold_up))]
     assert len({len(one.time) for one in recordings}) == 1
     assert len({one.meta["digest"] for one in recordings}) == 1
     assert all(one.meta["mode_changes"] == recordings[0].meta["mode_changes"] for one in recordings)
@@ -105,10 +105,10 @@ def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[...
 @pytest.mark.parametrize(
     ("limits", "why"),
     [
-        (ExperimentLimits(torque=2.8, angle_room=-0.28), "beyond the plan's angles; at most -0.28"),
-        (ExperimentLimits(torque=0.1, angle_room=2.0, torque_time=0.02), "gave more than 0.1 N m for 0.02 s"),
-        (ExperimentLimits(torque=2.8, angle_room=2.0, temperature=15.0), "degC; at most 15"),
-        (ExperimentLimits(torque=2.8, angle_room=2.0, duration=1.7), "it took more than 1.7 s"),
+        (ExperimentLimits(torque=2.8, angle_margin=-0.28), "beyond the plan's angles; at most -0.28"),
+        (ExperimentLimits(torque=0.1, angle_margin=2.0, torque_time=0.02), "gave more than 0.1 N m for 0.02 s"),
+        (ExperimentLimits(torque=2.8, angle_margin=2.0, temperature=15.0), "degC; at most 15"),
+        (ExperimentLimits(torque=2.8, angle_margin=2.0, duration=1.7), "it took more than 1.7 s"),
     ],
     ids=["angle", "torque", "temperature", "time"],
 )
@@ -119,7 +119,7 @@ def test_passing_a_limit_of_the_plan_ends_the_experiment(
 
 
 def test_a_signal_of_the_operator_ends_the_experiment(ended: Callable[..., str], make_plan: MakePlan):
-    watch = Doing("steps", lambda: os.kill(os.getpid(), signal.SIGINT))
+    watch = ActionOnPhase("steps", lambda: os.kill(os.getpid(), signal.SIGINT))
     assert ended(make_plan(), watch) == "stopped by the operator (in phase 'steps')"
     assert watch.phases == ["unfold", "sweep", "steps"]
 
@@ -127,7 +127,7 @@ def test_a_signal_of_the_operator_ends_the_experiment(ended: Callable[..., str],
 def test_a_damped_robot_ends_the_experiment(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
     link = open_link(healthy.port, robot.num_motors, lockstep=True)
     link.connect()
-    recording = run_plan(link, make_plan(), robot, Doing("sweep", link.damp))
+    recording = run_plan(link, make_plan(), robot, ActionOnPhase("sweep", link.damp))
     link.close()
     assert (
         recording.meta["ended"]
@@ -137,7 +137,7 @@ def test_a_damped_robot_ends_the_experiment(healthy: Any, robot: RobotDescriptio
 
 def test_a_closed_port_ends_the_experiment(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
     emulator = emulate("--lockstep", "--rack")
-    recording = run_on(emulator.port, make_plan(), Doing("sweep", emulator.process.kill))
+    recording = run_on(emulator.port, make_plan(), ActionOnPhase("sweep", emulator.process.kill))
     assert recording.meta["ended"] != COMPLETE
     assert len(recording.time) > 400
     assert recording.sent_phase.max() == 0

@@ -137,12 +137,12 @@ def test_unknowns_of_one_colour_share_a_candidate():
 def test_a_derivative_at_a_bound_steps_inward():
     asked: list[float] = []
 
-    class Watched(Linear):
+    class Logged(Linear):
         def residuals(self, values: Array) -> Array:
             asked.extend(values[:, 0])
             return super().residuals(values)
 
-    model = Watched([[2.0]], np.zeros(1), [unknown(high=5.0)])
+    model = Logged([[2.0]], np.zeros(1), [unknown(high=5.0)])
     np.testing.assert_allclose(forward_jacobian(model, np.array([5.0]), np.array([10.0])), [[2.0]])
     assert asked == [4.999]
 

@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.deploy.messages import Mode
 from surefoot.deploy.poses import sitting_pose
-from surefoot.identify.ground.plans import DRAG, ends, rocking, sides, standing_up
+from surefoot.identify.ground.plans import DRAG, ends, extension_chirp, sides, stand_up_phases
 from surefoot.identify.plan import FADE, Phase, Plan, chirps, go_to, hold, steps, sweep
-from surefoot.identify.rack.plans import PULSE, SPIKE_PERIOD, latency_plan, motor_plan
+from surefoot.identify.rack.plans import PULSE_TIME, SPIKE_PERIOD, latency_plan, motor_plan
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import RobotDescription
 
 PERIOD = 0.002
 JUMPS = ("steps", "drop", "hop")
 """Phases that ask for more than a motor can follow, on purpose."""
-LARGEST = 0.4
+MAX_FLOAT = 0.4
 """Largest jump of a target anywhere else [rad]."""
 
 
@@ -30,17 +30,17 @@ def plans(robot: RobotDescription) -> dict[str, Plan]:
     return {name: EXPERIMENTS[name].plan(robot) for name in FIVE_BAR}
 
 
-ASKED: dict[tuple[int, bytes], NDArray[np.float64]] = {}
+COMMANDS: dict[tuple[int, bytes], NDArray[np.float64]] = {}
 """What phases asked for, by phase and start: most phases begin alike, however the robot lay."""
 
 
 def asked(phase: Phase, start: NDArray[np.float64]) -> NDArray[np.float64]:
     """All that a phase asks for (T, M), one command a period; the last one holds at its end."""
     key = (id(phase), start.tobytes())
-    if key not in ASKED:
+    if key not in COMMANDS:
         assert np.isfinite(phase.signal(phase.duration, start)).all()
-        ASKED[key] = np.array([phase.signal(k * PERIOD, start) for k in range(round(phase.duration / PERIOD))])
-    return ASKED[key]
+        COMMANDS[key] = np.array([phase.signal(k * PERIOD, start) for k in range(round(phase.duration / PERIOD))])
+    return COMMANDS[key]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +68,7 @@ def test_plans_have_no_jumps_from_any_start(
         if phase.name not in JUMPS:
             # Also after a phase of duties, which ends near where it began.
             jumps = np.abs(np.diff(np.vstack([before, angles]), axis=0))
-            assert jumps.max() < LARGEST, phase.name
+            assert jumps.max() < MAX_FLOAT, phase.name
             assert jumps[1:].max(initial=0.0) < 0.1, phase.name
         before = angles[-1]
 
@@ -101,7 +101,7 @@ def test_plans_are_deterministic(name: str, plans: dict[str, Plan], robot: Robot
 def test_pulses_return_a_motor_to_its_start(robot: RobotDescription):
     phase = next(p for p in motor_plan(robot).phases if p.name == "PWM pulses")
     nobody = np.zeros(robot.num_motors)
-    values = [phase.signal((k + 0.5) * PULSE, nobody) for k in range(6)]
+    values = [phase.signal((k + 0.5) * PULSE_TIME, nobody) for k in range(6)]
     assert np.all(np.abs(values[0]) > 0)
     # A unit there, two back, one there: a free motor ends at rest where it began. Then it runs out.
     for value, factor in zip(values, (1, -1, -1, 1, 0, 0), strict=True):
@@ -124,7 +124,7 @@ def test_legs_have_ends_and_sides(robot: RobotDescription):
 
 
 def test_rocking_is_around_standing(robot: RobotDescription):
-    signal = rocking(robot, ends(robot), 0.12, 1.0, 4.0, 2.0)
+    signal = extension_chirp(robot, ends(robot), 0.12, 1.0, 4.0, 2.0)
     nobody, stand = np.zeros(8), robot.pose_angles(0.0, robot.experiments.stance)
     np.testing.assert_allclose(signal(0.0, nobody), stand)
     np.testing.assert_allclose(signal(2.0, nobody), stand, atol=1e-12)
@@ -152,7 +152,7 @@ def test_a_sweep_of_one_frequency_is_a_sine():
 
 
 def test_legs_that_slid_out_are_drawn_in_from_their_side(robot: RobotDescription):
-    out, unfold, draw_in = standing_up(robot)[:3]
+    out, unfold, draw_in = stand_up_phases(robot)[:3]
     start = robot.pose_angles([1.0, -0.9, 0.1, 0.0], 0.4)
     swing, extension = robot.to_pose(out.signal(1.0, start))
     np.testing.assert_allclose(swing, [1.2, -1.2, 0.1, 0.0], atol=1e-12)

@@ -60,8 +60,8 @@ def test_segment_holds_commands_and_mode_changes(segment: Segment, ideal: Record
     changes = np.flatnonzero(np.diff(segment.kind, prepend=-9))
     position, pwm, off = int(Mode.POSITION), int(Mode.PWM), int(Mode.DISARMED)
     assert segment.kind[changes].tolist()[:6] == [position, off, pwm, off, HELD, position]
-    assert segment.order_tick[0] == 0
-    assert np.all(np.diff(segment.order_tick) >= 0)
+    assert segment.command_tick[0] == 0
+    assert np.all(np.diff(segment.command_tick) >= 0)
     np.testing.assert_array_equal(segment.voltage, 15.0)
     np.testing.assert_array_equal(segment.start, ideal.sent_value[ideal.sent_phase == 1][0])
     np.testing.assert_allclose(np.diff(segment.state_time), np.diff(ideal.time[segment.states]), atol=1e-12)

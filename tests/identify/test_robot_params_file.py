@@ -11,7 +11,7 @@ import pytest
 from surefoot import __version__
 from surefoot.errors import SurefootError
 from surefoot.identify.result import NORMAL_95, Identification, ParameterEstimate
-from surefoot.identify.robot_params_file import missing_experiments, overlay, read_prior, write_overlay
+from surefoot.identify.robot_params_file import missing_experiments, overlay, read_prior, write_robot_params
 from surefoot.robot import RobotDescription
 
 TEXT = """robot = "minitaur"
@@ -53,7 +53,7 @@ def test_prior_without_a_file_is_nominal(robot: RobotDescription, tmp_path: Path
 def test_overlay_is_read_as_written(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "folder" / "robot.toml"
     after = overlay(read_prior(path, robot), motor(), robot, "recording.npz")
-    write_overlay(path, robot, after)
+    write_robot_params(path, robot, after)
     again = read_prior(path, robot)
     # Parameters stand in the order of `PhysicalParams`; what was not identifiable is not there.
     assert again.names == ("motor_friction", "motor_strength", "voltage")
@@ -91,12 +91,12 @@ def test_intervals_are_written_for_numbers_and_for_motors(robot: RobotDescriptio
 def test_overlay_keeps_all_else_in_the_file(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
     path.write_text(TEXT)
-    write_overlay(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
+    write_robot_params(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
     contact = ParameterEstimate("contact_friction", 0.7, 0.02, "1")
     identified = Identification(
         "contact", "minitaur", (contact, ParameterEstimate("voltage", 15.2, 0.05, "V")), digest="cd"
     )
-    write_overlay(path, robot, overlay(read_prior(path, robot), identified, robot, "b.npz"))
+    write_robot_params(path, robot, overlay(read_prior(path, robot), identified, robot, "b.npz"))
     prior = read_prior(path, robot)
     assert prior.tables["owner"] == "lab 3"
     assert prior.tables["note"] == {"by": "hand", "more": {"deep": [[1, 2], [3]]}}
@@ -113,8 +113,8 @@ def test_overlay_keeps_all_else_in_the_file(robot: RobotDescription, tmp_path: P
 
 def test_a_repeated_experiment_replaces_its_results(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
-    write_overlay(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
-    write_overlay(path, robot, overlay(read_prior(path, robot), motor(0.8, missing=5), robot, "b.npz"))
+    write_robot_params(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
+    write_robot_params(path, robot, overlay(read_prior(path, robot), motor(0.8, missing=5), robot, "b.npz"))
     prior = read_prior(path, robot)
     assert prior.params.motor_strength[0, 3] == pytest.approx(0.83)
     # Of the motor that is not identifiable this time the former interval is still the best there is.
@@ -146,7 +146,7 @@ def test_training_takes_the_identified_parameters(robot: RobotDescription, tmp_p
     from surefoot.task.config import TaskConfig
 
     path = tmp_path / "robot.toml"
-    write_overlay(path, robot, overlay(read_prior(None, robot), motor(), robot))
+    write_robot_params(path, robot, overlay(read_prior(None, robot), motor(), robot))
     task = Simulator(params=path).condition().simulate(TaskConfig())
     assert set(task.params) == {"motor_strength", "motor_friction", "voltage"}
     assert task.nominal(robot).motor_strength[0, 0] == 0.9

@@ -38,7 +38,7 @@ class MeanArchitecture:
 
     setting = "thermal_protection"
 
-    def serves(self, task: TaskConfig) -> bool:
+    def applies_to(self, task: TaskConfig) -> bool:
         return task.thermal_protection
 
     def build(self, actor: MLPModel, columns: Sequence[str], make_mlp: Callable[[], nn.Module]) -> None:

@@ -20,7 +20,7 @@ from surefoot.learn.symmetry import (
     MirrorSamples,
     mirror_columns,
     mirror_name,
-    reference_shift,
+    is_half_period_shifted,
 )
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
@@ -76,12 +76,12 @@ def wave(*phase: float) -> TaskConfig:
     ],
 )
 def test_the_mirror_image_of_a_reference_is_itself_at_once_or_half_a_period_later(phases, half):
-    assert reference_shift(make_env(wave(*phases))) is half
+    assert is_half_period_shifted(make_env(wave(*phases))) is half
 
 
 def test_a_reference_that_is_not_symmetric_is_refused():
     with pytest.raises(SurefootError, match=r"ppo\.symmetry.*not left-right symmetric"):
-        reference_shift(make_env(wave(0.0, 1.0, 2.0, 3.0)))
+        is_half_period_shifted(make_env(wave(0.0, 1.0, 2.0, 3.0)))
 
 
 @pytest.mark.parametrize(("longer", "mirrored"), [(0.0005, True), (0.004, False), (0.02, False)])

@@ -19,7 +19,7 @@ from surefoot.learn.training_loop import TrainingLoop
 from surefoot.learn.transfer import NETWORK_FIELDS, PRIVILEGED, Network, move_inputs, network_inputs, scale_output
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.height_scan import AROUND, MAP
+from surefoot.task.height_scan import CRITIC_GRID, POLICY_GRID
 from surefoot.world.sim_world import SimWorld
 
 TINY = {
@@ -63,7 +63,7 @@ def first_layer(*inputs: float) -> dict[str, torch.Tensor]:
 
 
 def test_moved_inputs_worked_by_hand():
-    near = MAP.nearest(AROUND)["ground-2.5.left0.5"]
+    near = POLICY_GRID.nearest(CRITIC_GRID)["ground-2.5.left0.5"]
     assert near == "ground-3.middle"
     network = Network(first_layer(1.0, 2.0), [(0, "a"), (0, "b")])
     critic = Network(first_layer(5.0, 6.0, 7.0, 8.0), [(0, "a"), (0, "b"), (PRIVILEGED, "c"), (PRIVILEGED, near)])
@@ -228,9 +228,9 @@ def test_a_new_observation_is_normalized_as_the_value_network_normalized_it(tmp_
     seeing = TrainingLoop.create(config, RunFolder.create(config, tmp_path), SimWorld)
     learned, actor = before.learner.algorithm.critic.obs_normalizer, seeing.learner.policy.obs_normalizer
     columns = [*before.learner.env.observer.columns, *before.learner.env.privileged_columns]
-    near = MAP.nearest(AROUND)
+    near = POLICY_GRID.nearest(CRITIC_GRID)
     assert near["ground-2.5.left0.5"] == "ground-3.middle"
-    places = [columns.index(near[name]) for name in MAP.columns()]
+    places = [columns.index(near[name]) for name in POLICY_GRID.columns()]
     assert (learned.mean[places] < -0.1).all()
     for name in ("mean", "std"):
         assert torch.equal(getattr(actor, name)[-len(places) :], getattr(learned, name)[places])

@@ -25,14 +25,14 @@ DIGEST = hashlib.sha256(b"{}\0abc").hexdigest().encode()
 
 def test_the_digest_of_a_model_worked_by_hand():
     parts = read_parts(MODEL)
-    assert (parts.graph, parts.contract, parts.stated_digest) == (b"abc", b"{}", None)
+    assert (parts.graph, parts.contract, parts.stored_digest) == (b"abc", b"{}", None)
     assert parts.digest.encode() == DIGEST
 
 
 def test_a_digest_is_one_more_property_at_the_end():
     whole = add_digest(MODEL)
     assert whole.startswith(MODEL)
-    assert check_digest(whole).stated_digest == DIGEST
+    assert check_digest(whole).stored_digest == DIGEST
 
 
 def carried(robot: bytes) -> bytes:
@@ -44,7 +44,7 @@ def carried(robot: bytes) -> bytes:
 def test_the_digest_covers_a_carried_robot():
     whole = add_digest(carried(b"UEs="))
     assert check_digest(whole).robot_archive() == b"PK"
-    assert check_digest(whole).stated_digest == hashlib.sha256(b"{}\0UEs=\0abc").hexdigest().encode()
+    assert check_digest(whole).stored_digest == hashlib.sha256(b"{}\0UEs=\0abc").hexdigest().encode()
     with pytest.raises(SurefootError, match="its digest does not match"):
         check_digest(whole.replace(b"UEs=", b"UEt="))
 

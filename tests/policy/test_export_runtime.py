@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy
+from edited import modified_policy
 
 torch = pytest.importorskip("torch")
 onnx = pytest.importorskip("onnx")
@@ -136,7 +136,7 @@ def test_onnx_without_a_contract_is_refused(policy_file: Path, tmp_path: Path):
 
 
 def test_a_graph_of_another_width_than_its_contract_is_refused(policy_file: Path, tmp_path: Path):
-    path = edited_policy(tmp_path / "p.onnx", lambda contract: contract.update(history=2), policy_file)
+    path = modified_policy(tmp_path / "p.onnx", lambda contract: contract.update(history=2), policy_file)
     refused(path, r"input is observation .*its contract says .*8\]")
 
 
@@ -147,7 +147,7 @@ def test_feedback_that_is_not_finite_is_refused(policy_file: Path, tmp_path: Pat
             if tensor.name in large:
                 tensor.raw_data = np.full(tuple(tensor.dims), large[tensor.name], np.float32).tobytes()
 
-    runtime = PolicyRuntime.load(edited_policy(tmp_path / "p.onnx", policy=policy_file, graph=enlarge))
+    runtime = PolicyRuntime.load(modified_policy(tmp_path / "p.onnx", policy=policy_file, graph=enlarge))
     with pytest.raises(SurefootError, match="not finite"):
         runtime.feedback(np.zeros((1, 4)))
 

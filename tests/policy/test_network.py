@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy
+from edited import modified_policy
 
 from surefoot.api.policies import find_policy
 from surefoot.errors import SurefootError
@@ -115,7 +115,7 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
 @pytest.mark.usefixtures("never_run")
 def test_a_hostile_network_is_refused_before_it_is_run(edit: Callable[[Any], object], message: str, tmp_path: Path):
     with pytest.raises(SurefootError, match=message) as caught:
-        PolicyRuntime.load(edited_policy(tmp_path / "hostile.onnx", policy="trot", graph=edit))
+        PolicyRuntime.load(modified_policy(tmp_path / "hostile.onnx", policy="trot", graph=edit))
     assert str(caught.value).startswith(f"policy file {tmp_path / 'hostile.onnx'}: ")
     assert "\n" not in str(caught.value)
 

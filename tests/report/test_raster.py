@@ -7,7 +7,7 @@ import pytest
 
 pytest.importorskip("numba")
 
-from surefoot.report.drawing.raster import Light, SurfaceArrays, light_share, paint_faces, paint_ground, rasterize
+from surefoot.report.drawing.raster import Light, SurfaceArrays, sunlit_fraction, paint_faces, paint_ground, rasterize
 
 
 def fill(points: list[tuple[float, float, float]], faces: list[tuple[int, int, int]]) -> tuple[np.ndarray, np.ndarray]:
@@ -61,11 +61,11 @@ def test_light_is_taken_by_what_is_above_a_point():
     heights = np.zeros((8, 8))
     heights[:, 4:] = 0.5
     sun = light(heights)
-    assert light_share(sun, 2.0, 4.0, 0.1) == 1.0
-    assert light_share(sun, 6.0, 4.0, 0.1) == 0.0
-    assert light_share(sun, 6.0, 4.0, 0.6) == 1.0  # on top of it
-    assert light_share(sun, 4.0, 4.0, 0.1) == pytest.approx(0.5)  # at the edge
-    assert light_share(sun, 90.0, 4.0, 0.0) == 1.0
+    assert sunlit_fraction(sun, 2.0, 4.0, 0.1) == 1.0
+    assert sunlit_fraction(sun, 6.0, 4.0, 0.1) == 0.0
+    assert sunlit_fraction(sun, 6.0, 4.0, 0.6) == 1.0  # on top of it
+    assert sunlit_fraction(sun, 4.0, 4.0, 0.1) == pytest.approx(0.5)  # at the edge
+    assert sunlit_fraction(sun, 90.0, 4.0, 0.0) == 1.0
 
 
 def test_squares_of_the_ground_alternate_and_fade_to_their_mean():

@@ -17,7 +17,7 @@ from surefoot.evaluation.foot_forces import foot_forces
 from surefoot.report.pages.recorded_runs import MAX_TRACES, ShownTrace, recording_page
 from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_matrix, rpy_quat
-from surefoot.task.trace import LOG, EpisodeTrace
+from surefoot.task.trace import IMPORTED_LOG, EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
 GO2 = RobotDescription.load("go2")
@@ -91,7 +91,7 @@ def test_base_is_interpolated_where_it_was_lost(make_run: MakeRun):
 def test_log_without_readings_shows_its_commands(make_run: MakeRun):
     missing = {name: np.full((200, 12), np.nan) for name in ("motor_angle", "motor_velocity", "motor_torque")}
     time = {"time": 1.6e9 + np.repeat(0.02 * np.arange(100), 2), "energy": np.full(200, np.nan)}
-    (run,) = data_of(recording_page([swinging(make_run, arrays=missing | time, world=LOG)]))["runs"]
+    (run,) = data_of(recording_page([swinging(make_run, arrays=missing | time, world=IMPORTED_LOG)]))["runs"]
     assert run["rows"] == 100
     assert np.allclose(
         run["columns"]["joint"][0], np.column_stack([*GO2.joint_angles(run["columns"]["target"][:1]).values()])

@@ -15,7 +15,7 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.npz import read_npz, write_npz
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import LOOKS, Appearance, VisualPart, visual_shapes
+from surefoot.robot.appearance import VISUALS_FILE, Appearance, VisualPart, visual_shapes
 from surefoot.robot.urdf import Link, Shape, Urdf
 
 SOLO = RobotDescription.load("solo8")
@@ -84,8 +84,8 @@ def test_hips_without_visuals_are_cylinders_between_the_joints(name: str):
 def test_looks_of_robots_that_ship_are_those_of_their_script(name: str, tmp_path: Path) -> None:
     script = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "visuals.py"))
     robot = RobotDescription.load(name)
-    script["appearance"](script["ROBOTS"][name]).save(tmp_path / LOOKS)
-    assert (tmp_path / LOOKS).read_bytes() == (robot.folder / LOOKS).read_bytes()
+    script["appearance"](script["ROBOTS"][name]).save(tmp_path / VISUALS_FILE)
+    assert (tmp_path / VISUALS_FILE).read_bytes() == (robot.folder / VISUALS_FILE).read_bytes()
     parts = robot.appearance().parts
     # Feet reach the ground where the robot's sheet has them do so, to a millimetre.
     frames = robot.link_frames(robot.resting_angles)
@@ -97,7 +97,7 @@ def test_looks_of_robots_that_ship_are_those_of_their_script(name: str, tmp_path
         assert lowest == pytest.approx(sole, abs=1e-3)
 
 
-def write_looks(folder: Path, change: Callable[[dict[str, Any], dict[str, Any]], None] | None = None) -> Path:
+def write_visuals(folder: Path, change: Callable[[dict[str, Any], dict[str, Any]], None] | None = None) -> Path:
     """Write a robot's folder with two parts, and change the arrays and meta of their file."""
     shutil.copytree(SOLO.folder, folder)
     corners = np.array([(0, 0, 0), (0.3, 0, 0), (0, 0.2, 0), (0, 0, 0.1)], np.float32)
@@ -106,27 +106,27 @@ def write_looks(folder: Path, change: Callable[[dict[str, Any], dict[str, Any]],
         VisualPart("base", corners, faces, (1.0, 0.5, 0.0)),
         VisualPart("front_left_upper", corners[:3] - np.float32(0.123456), faces[:1], (0.2, 0.2, 0.2)),
     )
-    Appearance(parts).save(folder / LOOKS)
+    Appearance(parts).save(folder / VISUALS_FILE)
     if change is not None:
-        arrays = read_npz(folder / LOOKS)
+        arrays = read_npz(folder / VISUALS_FILE)
         arrays.pop("meta")
         meta = {"links": [part.link for part in parts]}
         change(arrays, meta)
-        write_npz(folder / LOOKS, arrays, meta)
+        write_npz(folder / VISUALS_FILE, arrays, meta)
     return folder
 
 
 def test_saved_looks_come_back_to_a_65535th_of_their_size(tmp_path: Path) -> None:
-    folder = write_looks(tmp_path / "mine")
+    folder = write_visuals(tmp_path / "mine")
     first, second = RobotDescription.load(folder).appearance().parts
     assert (first.link, second.link) == ("base", "front_left_upper")
     np.testing.assert_allclose(first.color, (1.0, 0.5, 0.0), atol=0.002)
     assert volume(first) == pytest.approx(0.3 * 0.2 * 0.1 / 6, rel=1e-5)
     np.testing.assert_allclose(second.vertices[1], [0.3 - 0.123456, -0.123456, -0.123456], atol=0.3 / 65535)
     np.testing.assert_array_equal(second.faces, [(0, 2, 1)])
-    before = (folder / LOOKS).read_bytes()
-    Appearance((first, second)).save(folder / LOOKS)
-    assert (folder / LOOKS).read_bytes() == before
+    before = (folder / VISUALS_FILE).read_bytes()
+    Appearance((first, second)).save(folder / VISUALS_FILE)
+    assert (folder / VISUALS_FILE).read_bytes() == before
 
 
 def setter(name: str, index: Any, value: Any) -> Callable[[dict[str, Any], dict[str, Any]], None]:
@@ -171,26 +171,26 @@ HOSTILE = {
 @pytest.mark.parametrize("case", HOSTILE)
 def test_a_file_with_one_thing_wrong_is_refused(case: str, tmp_path: Path) -> None:
     change, message = HOSTILE[case]
-    robot = RobotDescription.load(write_looks(tmp_path / "mine", change))
+    robot = RobotDescription.load(write_visuals(tmp_path / "mine", change))
     with pytest.raises(SurefootError, match=f"looks.npz: .*{message}"):
         robot.appearance()
 
 
 @pytest.mark.parametrize("name", ["../looks.npz", "/etc/passwd", "", ".."])
 def test_looks_outside_the_robots_folder_are_refused(name: str, tmp_path: Path) -> None:
-    folder = write_looks(tmp_path / "mine")
+    folder = write_visuals(tmp_path / "mine")
     sheet = folder / "robot.toml"
-    sheet.write_text(sheet.read_text().replace(f'"{LOOKS}"', f'"{name}"'))
+    sheet.write_text(sheet.read_text().replace(f'"{VISUALS_FILE}"', f'"{name}"'))
     with pytest.raises(SurefootError, match=r"looks is '.*'; it must be the name of a file in the robot's folder"):
         RobotDescription.load(folder)
 
 
 def test_cut_off_looks_and_missing_ones_are_refused(tmp_path: Path) -> None:
-    folder = write_looks(tmp_path / "mine")
+    folder = write_visuals(tmp_path / "mine")
     robot = RobotDescription.load(folder)
-    (folder / LOOKS).write_bytes((folder / LOOKS).read_bytes()[:-40])
+    (folder / VISUALS_FILE).write_bytes((folder / VISUALS_FILE).read_bytes()[:-40])
     with pytest.raises(SurefootError, match=r"looks.npz: is cut off"):
         robot.appearance()
-    (folder / LOOKS).unlink()
+    (folder / VISUALS_FILE).unlink()
     with pytest.raises(SurefootError, match=r"looks.npz: can't be read: No such file"):
         robot.appearance()

@@ -18,8 +18,8 @@ import pytest
 from surefoot.cli.main import main
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.importing import confined, reader
-from surefoot.robot.importing.confined import decode, encode, read_robot
+from surefoot.robot.importing import isolated_reader, reader
+from surefoot.robot.importing.isolated_reader import decode, encode, read_robot
 from surefoot.robot.importing.copies import check_copies
 from surefoot.sandbox import Limits
 from surefoot.world import urdf_probe
@@ -106,7 +106,7 @@ COPIES = {
 def test_copies_are_counted_before_a_parser_makes_them(
     text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
-    monkeypatch.setattr(confined.sandbox, "run_module", None)
+    monkeypatch.setattr(isolated_reader.sandbox, "run_module", None)
     (tmp_path / "dog.xml").write_text(text)
     (tmp_path / "copies.xml").write_text('<mujoco><size nkey=" 1e30 "/></mujoco>')
     with pytest.raises(SurefootError, match=rf"dog\.xml: .*{re.escape(message)} it must be 1000 or less"):

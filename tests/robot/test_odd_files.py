@@ -16,10 +16,10 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
-from surefoot.robot.mirror import MIRRORED, is_mirrored, side_difference
+from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, is_symmetric, side_difference
 from surefoot.robot.rigid_body import box_moments
 from surefoot.world.body_checks import check_file, check_masses, check_sides
-from surefoot.world.description_checks import drawn_beyond_feet, run_description_checks
+from surefoot.world.description_checks import visual_overhang, run_description_checks
 
 
 def read(text: str, folder: Path, name: str = "odd.urdf") -> ImportedRobot:
@@ -171,7 +171,7 @@ def test_sides_are_compared_by_their_links(longer: float, passed: bool, warn: bo
     assert (result.passed, result.warn) == (passed, warn)
     assert words in result.message
     assert side_difference(robot).length == pytest.approx(longer, abs=1e-7)
-    assert is_mirrored(robot) is (longer <= MIRRORED * robot.leg_geometry.length)
+    assert is_symmetric(robot) is (longer <= MAX_SIDE_DIFFERENCE * robot.leg_geometry.length)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +191,7 @@ def test_one_sided_errors_of_places_are_named(old: str, new: str, words: str, tm
 def test_robots_that_ship_are_mirror_images(name: str) -> None:
     robot = RobotDescription.load(name)
     assert side_difference(robot).length < 1e-6
-    assert np.abs(drawn_beyond_feet(robot)).max() < 0.01 * robot.leg_geometry.length
+    assert np.abs(visual_overhang(robot)).max() < 0.01 * robot.leg_geometry.length
 
 
 def test_a_link_whose_mesh_is_missing_is_drawn_as_a_primitive_shape(tmp_path: Path) -> None:
@@ -419,12 +419,12 @@ def test_a_speed_limit_below_what_a_trot_needs_is_named(
 
 def test_a_drawing_that_ends_beyond_the_foots_sphere_is_a_warning(tmp_path: Path) -> None:
     robot = make(urdf(), tmp_path)
-    assert np.abs(drawn_beyond_feet(robot)).max() < 1e-3
+    assert np.abs(visual_overhang(robot)).max() < 1e-3
     text = robot.urdf.path.read_text()
     shorter, count = re.subn(r'(<joint name="front_left_ankle".*?xyz="0 0 )-0.2"', r'\1-0.17"', text, flags=re.DOTALL)
     assert count == 1
     robot.urdf.path.write_text(shorter)
-    assert drawn_beyond_feet(RobotDescription.load(robot.folder)) == pytest.approx([0.03, 0, 0, 0], abs=1e-3)
+    assert visual_overhang(RobotDescription.load(robot.folder)) == pytest.approx([0.03, 0, 0, 0], abs=1e-3)
     result = next(one for one in run_description_checks(RobotDescription.load(robot.folder)) if one.name == "feet")
     assert result.warn
     assert "what is drawn of front_left ends 30 mm below its sphere" in result.message

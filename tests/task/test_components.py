@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from resuming import assert_resumes_exactly
+from exact_resume import assert_resumes_exactly
 from scripted import ScriptedWorld
 
 from surefoot.task import components as registry

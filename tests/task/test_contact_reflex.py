@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from resuming import assert_resumes_exactly
+from exact_resume import assert_resumes_exactly
 
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError

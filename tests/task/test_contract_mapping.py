@@ -14,13 +14,13 @@ pytest.importorskip("gymnasium")
 from surefoot.api.policies import find_policy
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
-from surefoot.policy.contract import Contract, stated_fields
+from surefoot.policy.contract import Contract, contract_fields
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.contract_mapping import contract_from_task, make_contract, task_from_contract
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.height_scan import MAP, ScanConfig
+from surefoot.task.height_scan import POLICY_GRID, ScanConfig
 from surefoot.task.reference_config import TableReferenceConfig
 from surefoot.task.terrain import TerrainConfig
 from surefoot.world.sim_world import SimWorld
@@ -47,7 +47,7 @@ def test_the_contract_of_a_policy_that_sees_the_ground_has_grid_and_age_of_its_m
     task = replace(task, observations=(*task.observations, "height_scan"), terrain=TerrainConfig(scan=scan))
     contract = contract_of(task)
     assert contract.height_map is not None
-    assert (contract.height_map.ahead, contract.height_map.left) == MAP.scale(ROBOT)
+    assert (contract.height_map.ahead, contract.height_map.left) == POLICY_GRID.scale(ROBOT)
     assert contract.height_map.age == pytest.approx(5 * 0.006)
     assert contract.task["terrain"]["scan"] == {"noise": 0.03, "drift": 0.02, "shift": 0.02, "holes": 0.02}
     assert task_from_contract(contract, ROBOT).terrain.scan == scan
@@ -84,7 +84,7 @@ def test_the_fields_that_a_task_marks_stand_outside_of_the_contracts_task():
     task = load_task("terrain-seeing", "go2")[0]
     robot = RobotDescription.load("go2")
     contract, whole = contract_from_task(task, robot), to_mapping(task)
-    stated = stated_fields(TaskConfig)
+    stated = contract_fields(TaskConfig)
     assert {name for name in whole if name not in contract.task} == {name for name in stated if "." not in name}
     for table in ("commands", "params"):
         missing = {f"{table}.{key}" for key in whole[table] if key not in contract.task[table]}

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from resuming import assert_resumes_exactly
+from exact_resume import assert_resumes_exactly
 
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
@@ -17,7 +17,7 @@ from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.foot_kinematics import FootKinematics
 from surefoot.task.footholds import Footholds
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.reference import FollowingReference
 from surefoot.world.interface import SensorReadings
 from surefoot.world.sim_world import SimWorld
@@ -58,19 +58,19 @@ def standing(reference: FollowingReference, ahead: float = 0.0) -> SensorReading
 
 
 def level_map() -> np.ndarray:
-    return np.full((len(MAP.ahead), len(MAP.left)), -0.3)
+    return np.full((len(POLICY_GRID.ahead), len(POLICY_GRID.left)), -0.3)
 
 
 def row_under(reference: FollowingReference, leg: int) -> int:
     """Return the map's row under a foot on its place."""
     x = (GO2.leg_mounts + reference.places)[leg, 0]
-    return int(np.argmin(np.abs(np.array(MAP.scale(GO2)[0]) - x)))
+    return int(np.argmin(np.abs(np.array(POLICY_GRID.scale(GO2)[0]) - x)))
 
 
 def to_point(reference: FollowingReference, leg: int, rows: int = 0) -> list[float]:
     """Return how far [m] it is from a foot on its place to the nearest point of the map, or some rows ahead of it."""
     x, y = (GO2.leg_mounts + reference.places)[leg, :2]
-    ahead, left = (np.array(places) for places in MAP.scale(GO2))
+    ahead, left = (np.array(places) for places in POLICY_GRID.scale(GO2))
     return [float(ahead[row_under(reference, leg) + rows] - x), float(left[np.argmin(np.abs(left - y))] - y)]
 
 
@@ -169,7 +169,7 @@ def test_a_gap_whose_other_side_is_beyond_the_map_is_a_hole(reference):
 
 def test_feet_are_set_on_the_edges_of_steps(reference):
     # A step of .15 m every six points, up and down.
-    heights = level_map() + 0.149 * (np.arange(len(MAP.ahead)) // 6)[:, None]
+    heights = level_map() + 0.149 * (np.arange(len(POLICY_GRID.ahead)) // 6)[:, None]
     for stairs in (heights, heights[::-1]):
         feet = Footholds(reference, 1)
         feet.choose(stairs.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
@@ -186,7 +186,7 @@ def test_a_hollow_that_is_wider_than_a_foot_can_step_is_no_hole(reference):
 
 def test_a_slanting_step_that_goes_out_of_the_map_is_no_hole(reference):
     # Down to the right, whatever the angle; nothing beyond the border is known.
-    x, y = np.meshgrid(*(np.array(places) for places in MAP.scale(GO2)), indexing="ij")
+    x, y = np.meshgrid(*(np.array(places) for places in POLICY_GRID.scale(GO2)), indexing="ij")
     for angle in np.radians([0.0, 20.0, 45.0, 70.0, 90.0]):
         for edge in (-0.2, 0.0, 0.2):
             heights = np.where(x * np.sin(angle) + y * np.cos(angle) > edge, -0.3, -0.5)
@@ -198,7 +198,7 @@ def test_a_slanting_step_that_goes_out_of_the_map_is_no_hole(reference):
 
 def test_stairs_that_meet_in_a_corner_are_no_hole(reference):
     # Steps of .2 m rise ahead to the left and ahead to the right: between them is a valley, where the robot stands.
-    x, y = np.meshgrid(*(np.array(places) for places in MAP.scale(GO2)), indexing="ij")
+    x, y = np.meshgrid(*(np.array(places) for places in POLICY_GRID.scale(GO2)), indexing="ij")
     heights = -0.3 + 0.2 * np.maximum(np.floor((np.maximum(x + y, x - y) - 0.3) / 0.3) + 1.0, 0.0)
     feet = Footholds(reference, 1)
     feet.choose(heights.reshape(1, -1), on_the_spot(0.65), standing(reference), STEP)
@@ -342,9 +342,9 @@ def test_legs_without_abduction_land_ahead_or_behind():
     assert isinstance(reference, FollowingReference)
     leg = robot.leg_names.index("front_left")
     under = (robot.leg_mounts + reference.places)[leg]
-    heights = np.full((len(MAP.ahead), len(MAP.left)), under[2])
+    heights = np.full((len(POLICY_GRID.ahead), len(POLICY_GRID.left)), under[2])
     # The foot is over the middle of a groove, which goes on ahead and behind: aside it would be out of it.
-    x, y = (np.array(places) for places in MAP.scale(robot))
+    x, y = (np.array(places) for places in POLICY_GRID.scale(robot))
     heights[np.abs(x - under[0]) < 2.5 * (x[1] - x[0])] = np.where(np.abs(y - under[1]) < y[1] - y[0], -1.0, under[2])
     heights = heights.reshape(1, -1)
     feet, motors = Footholds(reference, 1), robot.resting_angles[None]

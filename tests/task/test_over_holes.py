@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from resuming import assert_resumes_exactly
+from exact_resume import assert_resumes_exactly
 
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError

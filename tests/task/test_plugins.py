@@ -134,7 +134,7 @@ def test_columns_of_motors_and_of_sides_are_mirrored(write, robot) -> None:
     columns = "lambda robot: ['force.' + leg for leg in robot.leg_names] + ['lean']"
     text = OBSERVATION.format(columns, "0").replace('frame="motor"', 'frame="motor", flipped=["lean"]')
     write(text)
-    source, sign = mirror_columns(Observer(robot, ("twice",)).columns, more_flipped=PARTS["twice"].flipped)
+    source, sign = mirror_columns(Observer(robot, ("twice",)).columns, extra_flipped=PARTS["twice"].flipped)
     legs = robot.leg_names
     assert [legs[k] for k in source[:-1]] == [
         leg.replace("left", "*").replace("right", "left").replace("*", "right") for leg in legs

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from resuming import assert_resumes_exactly
+from exact_resume import assert_resumes_exactly
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import on_terrain
@@ -17,7 +17,7 @@ from surefoot.robot import RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.config import load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.height_scan import AROUND, HeightScanner, ScanConfig, scan_heights
+from surefoot.task.height_scan import CRITIC_GRID, HeightScanner, ScanConfig, scan_heights
 from surefoot.task.state import base_height
 from surefoot.task.terminations import is_low, is_tilted
 from surefoot.task.terrain import TerrainConfig
@@ -138,10 +138,10 @@ def test_tilt_and_height_count_from_the_course_of_the_ground():
 
 def test_a_scan_has_the_heights_around_a_turned_robot():
     robot, ground = RobotDescription.load("go2"), make_terrain("stairs:0.10")
-    points, length = AROUND.points(robot), robot.leg_geometry.length
+    points, length = CRITIC_GRID.points(robot), robot.leg_geometry.length
     assert points.shape == (91, 2)
     position, yaw = np.array([[1.0, 0.0, 0.3]] * 2), np.array([0.0, np.pi])
-    heights = dict(zip(AROUND.columns(), scan_heights(ground, points, position, yaw).T, strict=True))
+    heights = dict(zip(CRITIC_GRID.columns(), scan_heights(ground, points, position, yaw).T, strict=True))
     # 4/4 of a leg of .426 m ahead is on the second tread, behind on the level place.
     assert length == pytest.approx(0.426)
     assert heights["ground4.middle"].round(6).tolist() == [-0.1, -0.3]

@@ -7,7 +7,7 @@ import pytest
 
 from surefoot.arrays import Array
 from surefoot.world.ground import FLAT, Ground
-from surefoot.world.ground_contact import STEEP, friction_factor, point_clearance, shape_clearance, sphere_contacts
+from surefoot.world.ground_contact import WALL_NORMAL_Z, friction_factor, point_clearance, shape_clearance, sphere_contacts
 from surefoot.world.mujoco_model import body_heights
 
 RADIUS, ERROR = 0.02, 1e-6
@@ -66,7 +66,7 @@ def least_distances(ground: Ground, triangles: Array, centre: Array) -> tuple[fl
         joined = np.linalg.norm(nearest(triangles, places[k]) - places[k], axis=1) < 10 * ERROR
         free = places[k] + 1e-3 * (centre - places[k])
         if distance[k] <= distance[joined].min() + ERROR and ground.height(free[:2]) < free[2]:
-            number = int(centre[2] - places[k, 2] < STEEP * distance[k])
+            number = int(centre[2] - places[k, 2] < WALL_NORMAL_Z * distance[k])
             least[number] = min(least[number], distance[k])
     return least[0], least[1]
 

@@ -5,13 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numba import njit
 
-from surefoot.world.native import take_number
+from surefoot.world.native import fetch_and_increment
 
 
 @njit(nogil=True)
 def _take_all(counter, taken, thread):
     while True:
-        number = take_number(counter.ctypes.data)
+        number = fetch_and_increment(counter.ctypes.data)
         if number >= taken.shape[1]:
             return
         taken[thread, number] += 1

@@ -20,7 +20,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world import registry
 from surefoot.world.actuation import SHARED_ARRAYS, new_actuation
 from surefoot.world.interface import WorldConfig
-from surefoot.world.process_world import ProcessWorld, processes_for, worker_pool
+from surefoot.world.process_world import ProcessWorld, process_count, worker_pool
 from surefoot.world.sim_world import SimWorld
 
 # Most tests are of the processes, whatever they simulate: MuJoCo starts and steps faster.
@@ -251,8 +251,8 @@ def test_no_process_outlives_an_owner_that_is_killed():
 
 @pytest.mark.parametrize(("threads", "num_envs", "expected"), [(3, 5, 3), (8, 5, 5), (1, 5, 1), (0, 1, 1)])
 def test_never_more_processes_than_robots(threads, num_envs, expected):
-    assert processes_for(num_envs, WorldConfig(threads=threads)) == expected
-    assert processes_for(1000, WorldConfig()) == os.cpu_count()
+    assert process_count(num_envs, WorldConfig(threads=threads)) == expected
+    assert process_count(1000, WorldConfig()) == os.cpu_count()
 
 
 def test_bullet_in_processes_is_bullet_in_one(robot, trot, assert_same):

@@ -15,7 +15,7 @@ from surefoot.adopt import torchscript_network
 from surefoot.adopt.builder import ForeignNetwork, build_policy, check_specification
 from surefoot.adopt.constant_inputs import constant_inputs
 from surefoot.adopt.formats import legged_gym, manual, mjlab, rl_sar, unitree_rl_lab
-from surefoot.adopt.formats.reading import matched_joints
+from surefoot.adopt.formats.reading import match_joints
 from surefoot.adopt.mistakes import fits, joint_orders
 from surefoot.adopt.onnx_network import OnnxNetwork
 from surefoot.adopt.onnx_weights import read_network
@@ -143,7 +143,7 @@ def _with_robots_names(specification: PolicySpecification, robot: RobotDescripti
     joints = specification.joints
     if {*joints} == {*robot.motor_names}:
         return specification
-    found = matched_joints(joints, robot.motor_names)
+    found = match_joints(joints, robot.motor_names)
     if found is None or {*found} != {*robot.motor_names}:
         return specification
     note = f"names of joints: {joints[0]} is {robot.name}'s {found[0]}, and so on"

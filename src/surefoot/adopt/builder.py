@@ -23,7 +23,7 @@ from surefoot.deploy.checks import check_policy
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import add_digest, read_parts
-from surefoot.policy.graph import LARGEST, Graph, Value
+from surefoot.policy.graph import MAX_FLOAT, Graph, Value
 from surefoot.policy.network import INPUT, OUTPUT, check_network
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -35,11 +35,11 @@ from surefoot.task.observation import Observer
 
 _REWARD = {"track_velocity": 1.0, "track_yaw_rate": 0.5}
 """Reward of the task in a contract: how well commands are followed; the policy's own is not known."""
-_EPISODE = 20.0
+_EPISODE_DURATION = 20.0
 """Length of an episode [s]."""
-EFFECT = "constants_effect"
+CONSTANTS_EFFECT = "constants_effect"
 """Figure of an adopted policy's contract: change of a joint's target [rad] where a constant input changes by 1."""
-_PROBES, _PROBE_NOISE = 64, 0.5
+_NUM_PROBES, _PROBE_NOISE = 64, 0.5
 """Observations that the effect of constants is measured on, and the standard deviation of their other numbers."""
 PARTS = {
     "command": ("command",),
@@ -131,7 +131,7 @@ def build_policy(
     Raises:
         SurefootError: a specification that does not fit the network or the robot.
     """
-    maker = PolicyMaker(specification, network, robot)
+    maker = PolicyBuilder(specification, network, robot)
     contract = maker.contract(specification.name or name, {**source, **_effect_of_constants(maker)})
     check_policy(contract, robot)
     model = maker.graph(contract).to_model(contract, robot.archive)
@@ -141,7 +141,7 @@ def build_policy(
     return data
 
 
-def _effect_of_constants(maker: PolicyMaker) -> dict[str, float]:
+def _effect_of_constants(maker: PolicyBuilder) -> dict[str, float]:
     """Return how far a joint's target moves [rad] where the most effective constant input changes by 1.
 
     It is the greatest mean, over constants and joints, for other inputs at random. Empty without constants.
@@ -154,8 +154,8 @@ def _effect_of_constants(maker: PolicyMaker) -> dict[str, float]:
     states = [Value(f"hidden_{k}", width) for k, width in enumerate(maker.network.hidden)]
     action, _ = maker.network.add(graph, observation, states)
     model = graph.to_onnx([observation, *states], [action]).SerializeToString()
-    rows = np.random.default_rng(0).normal(scale=_PROBE_NOISE, size=(_PROBES, observation.width))
-    at_rest = {state.name: np.zeros((_PROBES, state.width), np.float32) for state in states}
+    rows = np.random.default_rng(0).normal(scale=_PROBE_NOISE, size=(_NUM_PROBES, observation.width))
+    at_rest = {state.name: np.zeros((_NUM_PROBES, state.width), np.float32) for state in states}
 
     def targets(inputs: Array) -> Array:
         return np.asarray(run_model(model, {"observation": inputs.astype(np.float32), **at_rest})[0] * scale)
@@ -166,7 +166,7 @@ def _effect_of_constants(maker: PolicyMaker) -> dict[str, float]:
         changed = rows.copy()
         changed[:, place] += 1.0
         effects.append(float(np.abs(targets(changed) - before).mean(axis=0).max()))
-    return {EFFECT: max(effects)}
+    return {CONSTANTS_EFFECT: max(effects)}
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ def check_specification(specification: PolicySpecification, robot: RobotDescript
     """
     specification.check_commands()
     width = sum(_width(term, robot.num_motors) * len(term.steps) for term in specification.observations)
-    maker = PolicyMaker(specification, NetworkSizes(width, len(specification.joints)), robot)
+    maker = PolicyBuilder(specification, NetworkSizes(width, len(specification.joints)), robot)
     check_policy(maker.contract("policy", {}), robot)
     return width
 
@@ -212,7 +212,7 @@ def _width(term: ObservationTerm, joints: int) -> int:
     return counts.get(term.term, len(VECTOR_COLUMNS[term.term]) if term.term in VECTOR_COLUMNS else joints)
 
 
-class PolicyMaker:
+class PolicyBuilder:
     """Contract and graph of one policy.
 
     Args:
@@ -303,7 +303,7 @@ class PolicyMaker:
             memory=self.memory,
             rest=rest,
             fall_angle=spec.fall_angle,
-            max_steps=round(_EPISODE / spec.control_step),
+            max_steps=round(_EPISODE_DURATION / spec.control_step),
             commands=CommandConfig(**ranges),
             reward=_REWARD if follows else {"progress": 1.0},
             params=params,
@@ -400,7 +400,7 @@ class PolicyMaker:
 
     def _clipped(self, graph: Graph, value: Value, clips: list[Range | None]) -> Value:
         """Return a value with those of its numbers clipped that have bounds."""
-        low, high = np.array([clip or (-LARGEST, LARGEST) for clip in clips]).T
+        low, high = np.array([clip or (-MAX_FLOAT, MAX_FLOAT) for clip in clips]).T
         return self._bounded(graph, value, tuple(low), tuple(high))
 
     def observation_map(self) -> tuple[Array, Array, Array]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from surefoot.adopt.builder import EFFECT, NetworkSizes, PolicyMaker, adopted_specification
+from surefoot.adopt.builder import CONSTANTS_EFFECT, NetworkSizes, PolicyBuilder, adopted_specification
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 
@@ -35,9 +35,9 @@ def constant_inputs(contract: Contract, robot: RobotDescription) -> ConstantInpu
     specification, adopted = adopted_specification(contract), contract.figures.get("adopted")
     if specification is None or not isinstance(adopted, Mapping):
         return None
-    maker = PolicyMaker(specification, NetworkSizes(None, len(specification.joints)), robot)
+    maker = PolicyBuilder(specification, NetworkSizes(None, len(specification.joints)), robot)
     if not maker.constant_places:
         return None
-    effect = adopted.get(EFFECT)
+    effect = adopted.get(CONSTANTS_EFFECT)
     known = float(effect) if isinstance(effect, int | float) else None
     return ConstantInputs(len(maker.constant_places), len(maker.rows), known)

@@ -19,10 +19,10 @@ from surefoot.adopt.examination import (
     GOOD,
     Answer,
     examine,
-    stated_specification,
+    require_specification,
 )
 from surefoot.adopt.mistakes import corrections
-from surefoot.adopt.robot_guesses import RobotGuess, robot_guesses
+from surefoot.adopt.robot_variants import RobotVariant, robot_variants
 from surefoot.check_result import CheckResult, judge
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import Progress
@@ -30,21 +30,21 @@ from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import TaskConfig
 
-FIRST = 2.0
+SCREENING_DURATION = 2.0
 """Length of an episode [s] in the first round, with all changes; the second one's is `DURATION`."""
-FIRST_COMMANDS = ("forward", "backward", "left", "turn", "curve left")
+SCREENING_COMMANDS = ("forward", "backward", "left", "turn", "curve left")
 """Commands of the first round."""
-FINALISTS, REPEATS = 16, 2
+MAX_FINALISTS, FINAL_REPEATS = 16, 2
 """Corrections in the second round, and robots for each command there."""
-FINAL_GUESSES = 6
+MAX_FINAL_VARIANTS = 6
 """Other robots in the second round."""
 MARGIN = 0.06
 """How much likelier a change must be than none for it to be named, if it does not lead to usual numbers."""
-ALIKE = 0.03
+TIE_MARGIN = 0.03
 """Difference within which two changes can't be distinguished."""
-WALKS, WELL = 0.6, 0.65
+MIN_WALKING_SCORE, MIN_GOOD_WALKING_SCORE = 0.6, 0.65
 """Scores of a policy that walks, and of one that walks so well that no number is called a mistake."""
-SIMPLER = 0.02
+DIFFERENCE_PENALTY = 0.02
 """What a further difference of a robot takes from its score, where the best ones are chosen."""
 
 
@@ -62,14 +62,14 @@ class Diagnosis:
     """Inputs of the network that are constants, if there are any."""
 
     @classmethod
-    def from_answers(
+    def from_results(
         cls, answers: Sequence[Answer], others: Sequence[Answer] = (), constants: ConstantInputs | None = None
     ) -> Diagnosis:
         """Return the diagnosis of answers, the policy's as it is first; corrections in `others`, sorted, come last."""
         found = sorted(
             (one for one in answers[1:] if one.correction is not None), key=lambda answer: -answer.likelihood
         )
-        guesses = sorted((one for one in answers if isinstance(one.change, RobotGuess)), key=_order_of_guess)
+        guesses = sorted((one for one in answers if isinstance(one.change, RobotVariant)), key=_variant_sort_key)
         return cls(answers[0], (*found, *others), tuple(guesses), constants)
 
     @property
@@ -84,16 +84,16 @@ class Diagnosis:
         if walks(best) and self._is_clearly_better(best):
             return best
         usual = next((one for one in self.ranked if one.unusual < self.own.unusual and walks(one)), None)
-        return usual if usual is not None and usual.likelihood >= self.own.likelihood + ALIKE else None
+        return usual if usual is not None and usual.likelihood >= self.own.likelihood + TIE_MARGIN else None
 
     def _is_clearly_better(self, answer: Answer) -> bool:
         rivals = (self.own, *self.guesses)
-        if any(walks(rival, WELL) for rival in rivals):
+        if any(walks(rival, MIN_GOOD_WALKING_SCORE) for rival in rivals):
             return False
         return answer.score >= max(rival.score for rival in rivals) + MARGIN
 
     @property
-    def is_shown(self) -> bool:
+    def is_confirmed(self) -> bool:
         """Whether robots show the mistake; else only numbers that are unusual hint at it."""
         return self.mistake is not None and self._is_clearly_better(self.mistake)
 
@@ -109,19 +109,19 @@ class Diagnosis:
         best = self.mistake
         if best is None:
             return ()
-        others = (one for one in self.ranked[:FINALISTS] if one is not best)
-        return tuple(one for one in others if one.likelihood >= best.likelihood - ALIKE)
+        others = (one for one in self.ranked[:MAX_FINALISTS] if one is not best)
+        return tuple(one for one in others if one.likelihood >= best.likelihood - TIE_MARGIN)
 
 
-def walks(answer: Answer, score: float = WALKS) -> bool:
+def walks(answer: Answer, score: float = MIN_WALKING_SCORE) -> bool:
     """Return whether robots walk: none falls, and together they answer the commands with a score."""
     return not answer.fell.any() and answer.score >= score
 
 
-def _order_of_guess(answer: Answer) -> float:
+def _variant_sort_key(answer: Answer) -> float:
     """Return a key that sorts answers on other robots, the best one first; one that differs less is preferred."""
-    assert isinstance(answer.change, RobotGuess)
-    return SIMPLER * answer.change.count - answer.score
+    assert isinstance(answer.change, RobotVariant)
+    return DIFFERENCE_PENALTY * answer.change.count - answer.score
 
 
 def diagnose(
@@ -134,29 +134,29 @@ def diagnose(
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Examine a policy as it is, with each of the usual mistakes corrected and on other robots; see `examine`."""
-    tried = corrections(stated_specification(policy.contract), robot)
-    guesses = _allowed_guesses(robot, task)
+    tried = corrections(require_specification(policy.contract), robot)
+    guesses = _allowed_variants(robot, task)
 
     def half_from(start: float) -> Progress | None:
         return None if progress is None else lambda share: progress(start + 0.5 * share)
 
     own, *first = examine(
-        policy, robot, task, [None, *tried, *guesses], world, seed, threads, half_from(0.0), FIRST, 1, FIRST_COMMANDS
+        policy, robot, task, [None, *tried, *guesses], world, seed, threads, half_from(0.0), SCREENING_DURATION, 1, SCREENING_COMMANDS
     )
     first.sort(key=lambda answer: -answer.likelihood)
     better = [one for one in first if one.correction is not None]
-    other_robots = sorted((one for one in first if one.correction is None), key=_order_of_guess)[:FINAL_GUESSES]
-    again = [one.change for one in (own, *better[:FINALISTS], *other_robots)]
+    other_robots = sorted((one for one in first if one.correction is None), key=_variant_sort_key)[:MAX_FINAL_VARIANTS]
+    again = [one.change for one in (own, *better[:MAX_FINALISTS], *other_robots)]
     # Other robots than those by which the finalists were chosen.
-    final = examine(policy, robot, task, again, world, seed + 1, threads, half_from(0.5), DURATION, REPEATS)
-    return Diagnosis.from_answers(final, better[FINALISTS:], constant_inputs(policy.contract, robot))
+    final = examine(policy, robot, task, again, world, seed + 1, threads, half_from(0.5), DURATION, FINAL_REPEATS)
+    return Diagnosis.from_results(final, better[MAX_FINALISTS:], constant_inputs(policy.contract, robot))
 
 
-def _allowed_guesses(robot: RobotDescription, task: TaskConfig) -> list[RobotGuess]:
+def _allowed_variants(robot: RobotDescription, task: TaskConfig) -> list[RobotVariant]:
     """Return the other robots that the robot's description allows."""
     nominal = PhysicalParams.nominal(robot).with_values(robot, **task.params)
     guesses = []
-    for guess in robot_guesses(float(nominal.control_latency[0])):
+    for guess in robot_variants(float(nominal.control_latency[0])):
         try:
             nominal.with_values(robot, **guess.params(nominal))
         except SurefootError:
@@ -173,7 +173,7 @@ def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyT
         notes: of the specification; `stand` is shown where the robot stands.
     """
     own = diagnosis.own
-    explained = diagnosis.is_shown or diagnosis.explained is not None
+    explained = diagnosis.is_confirmed or diagnosis.explained is not None
     remedy = "see the line specification" if explained else "perhaps it was not trained for that: see its training"
     results = []
     for k, (name, command, velocity, score) in enumerate(
@@ -189,24 +189,24 @@ def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyT
             message += f"; {notes['stand']}"
         results.append(judge(name, bool(score >= GOOD), message, "", remedy, float(score)))
     if diagnosis.constants is not None:
-        results.append(_judge_constants(diagnosis))
-    return [*results, _judge_specification(diagnosis)]
+        results.append(_check_constants(diagnosis))
+    return [*results, _check_specification(diagnosis)]
 
 
-def _judge_constants(diagnosis: Diagnosis) -> CheckResult:
+def _check_constants(diagnosis: Diagnosis) -> CheckResult:
     assert diagnosis.constants is not None
     walking = walks(diagnosis.own)
     remedy = "give the quantities that the training had there, or train without them"
     return judge("constant inputs", walking, diagnosis.constants.text, "", remedy, float(diagnosis.constants.count))
 
 
-def _judge_specification(diagnosis: Diagnosis) -> CheckResult:
+def _check_specification(diagnosis: Diagnosis) -> CheckResult:
     own, mistake, guess = diagnosis.own, diagnosis.mistake, diagnosis.explained
     if diagnosis.constants is not None:
         message = f"no mistake is named while inputs are constants (score {own.score:.2f})"
         return judge("specification", walks(own), message, "", "see the line constant inputs", own.score)
     tried = f"{len(diagnosis.ranked)} usual mistakes tried"
-    if mistake is not None and mistake.correction is not None and diagnosis.is_shown:
+    if mistake is not None and mistake.correction is not None and diagnosis.is_confirmed:
         message = f"{tried}; {mistake.text} (score {own.score:.2f}, then {mistake.score:.2f})"
         what = f"correct {mistake.correction.field} and adopt it again"
         if others := [one.text for one in diagnosis.alike]:

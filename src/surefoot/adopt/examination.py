@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.adopt.builder import NetworkSizes, PolicyMaker, adopted_specification
+from surefoot.adopt.builder import NetworkSizes, PolicyBuilder, adopted_specification
 from surefoot.adopt.mistakes import Correction
-from surefoot.adopt.robot_guesses import RobotGuess
+from surefoot.adopt.robot_variants import RobotVariant
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.adopt.usual_numbers import unusual_numbers
 from surefoot.arrays import Array
@@ -51,7 +51,7 @@ SHARES = {
 """Commands of an examination, in shares of the policy's range."""
 GOOD = 0.4
 """Score of a command that a robot answers."""
-UNUSUAL = 0.08
+UNUSUAL_PENALTY = 0.08
 """What an unusual number of a specification takes from its score."""
 _ROUNDING = 1e-9
 """Size of a number that is 0."""
@@ -61,7 +61,7 @@ _ROUNDING = 1e-9
 class Answer:
     """How robots with one specification answered commands: R rounds of C commands, by name."""
 
-    change: Correction | RobotGuess | None
+    change: Correction | RobotVariant | None
     """The change of the specification or of the robot; None: the policy as it is on the robot as it is."""
     commands: tuple[str, ...]
     command: Array
@@ -108,10 +108,10 @@ class Answer:
     @property
     def likelihood(self) -> float:
         """The score, less a penalty for each unusual number."""
-        return self.score - UNUSUAL * self.unusual
+        return self.score - UNUSUAL_PENALTY * self.unusual
 
 
-def stated_specification(contract: Contract) -> PolicySpecification:
+def require_specification(contract: Contract) -> PolicySpecification:
     """Return the specification that an adopted policy was made of.
 
     Raises:
@@ -125,7 +125,7 @@ def stated_specification(contract: Contract) -> PolicySpecification:
     return specification
 
 
-class Corrected:
+class CorrectedPolicy:
     """A policy file as if it had been made of other specifications: of rows of robots, one after another.
 
     Args:
@@ -138,7 +138,7 @@ class Corrected:
         self, policy: PolicyRuntime, robot: RobotDescription, specifications: Sequence[PolicySpecification]
     ) -> None:
         self._policy, contract = policy, policy.contract
-        own = self._maker(stated_specification(contract), robot, contract)
+        own = self._maker(require_specification(contract), robot, contract)
         self._motors = len(contract.motor_names)
         self._joints = len(own.specification.joints)
         self._has_last = any(term.term == "last_action" for term in own.specification.observations)
@@ -160,12 +160,12 @@ class Corrected:
             self._maps.append((rows, columns, change[np.ix_(rows, columns)].T, more[rows]))
 
     @staticmethod
-    def _maker(specification: PolicySpecification, robot: RobotDescription, contract: Contract) -> PolicyMaker:
+    def _maker(specification: PolicySpecification, robot: RobotDescription, contract: Contract) -> PolicyBuilder:
         joints = len(specification.joints)
         kept = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
         kept -= joints * any(term.term == "last_action" for term in specification.observations)
         kept -= 2 * sum(term.term == "clock" for term in specification.observations)
-        return PolicyMaker(specification, NetworkSizes(None, joints, (kept,) if kept else ()), robot)
+        return PolicyBuilder(specification, NetworkSizes(None, joints, (kept,) if kept else ()), robot)
 
     def feedback(self, observation: ArrayLike, going: NDArray[np.bool_] | None = None) -> Array:
         """Return the feedback (N, A) for observations (N, O * history); each group has as many rows.
@@ -197,7 +197,7 @@ def examine(
     policy: PolicyRuntime,
     robot: RobotDescription,
     task: TaskConfig,
-    tried: Sequence[Correction | RobotGuess | None],
+    tried: Sequence[Correction | RobotVariant | None],
     world: str = "mujoco",
     seed: int = 0,
     threads: int = 1,
@@ -222,9 +222,9 @@ def examine(
         chosen: names of the commands.
     """
     duration = DURATION if duration is None else duration
-    stated = stated_specification(policy.contract)
+    stated = require_specification(policy.contract)
     specifications = [one.specification if isinstance(one, Correction) else stated for one in tried]
-    corrected = Corrected(policy, robot, specifications)
+    corrected = CorrectedPolicy(policy, robot, specifications)
     limits = policy.contract.commands
     names, asked = _commands(limits, chosen)
     size = repeats * len(names)
@@ -240,7 +240,7 @@ def examine(
     steps = np.repeat([one.control_step for one in specifications], size)
     params = nominal.with_values(robot, control_step=steps, **changed)
     for k, one in enumerate(tried):
-        if isinstance(one, RobotGuess):
+        if isinstance(one, RobotVariant):
             rows = np.arange(k * size, (k + 1) * size)
             own = params.rows(rows)
             params.set_rows(rows, own.with_values(robot, **one.params(own)))
@@ -267,7 +267,7 @@ def examine(
     ]
 
 
-def run_task(task: TaskConfig, maker: PolicyMaker, answer: Answer) -> TaskConfig:
+def run_task(task: TaskConfig, maker: PolicyBuilder, answer: Answer) -> TaskConfig:
     """Return the task of a run in which one robot with a specification is given all commands, one after another."""
     each = DURATION / 2
     rows = [(each * k, *row) for k, row in enumerate(answer.command.tolist())]
@@ -284,7 +284,7 @@ def run_task(task: TaskConfig, maker: PolicyMaker, answer: Answer) -> TaskConfig
     )
 
 
-def _per_motor(maker: PolicyMaker, field: str) -> Array:
+def _per_motor(maker: PolicyBuilder, field: str) -> Array:
     """Return gains of all motors (M,)."""
     values: Any = maker.per_motor(getattr(maker.specification, field))
     return np.broadcast_to(np.asarray(values, float), maker.robot.num_motors)

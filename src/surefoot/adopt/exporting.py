@@ -17,7 +17,7 @@ import yaml
 from onnx import helper
 
 from surefoot import __version__
-from surefoot.adopt.builder import PARTS, VECTOR_COLUMNS, NetworkSizes, PolicyMaker, adopted_specification
+from surefoot.adopt.builder import PARTS, VECTOR_COLUMNS, NetworkSizes, PolicyBuilder, adopted_specification
 from surefoot.adopt.formats import isaac_lab, rl_sar
 from surefoot.adopt.formats.reading import first_names
 from surefoot.adopt.onnx_network import run_model
@@ -231,7 +231,7 @@ def _actions(
         to_motors = np.diag(robot.motor_sign)
         stand = robot.pose_angles(*policy.contract.rest)
         return robot.motor_names, np.ones(robot.num_motors), stand * robot.motor_sign, to_motors
-    maker = PolicyMaker(spec, NetworkSizes(None, len(spec.joints)), robot)
+    maker = PolicyBuilder(spec, NetworkSizes(None, len(spec.joints)), robot)
     scale, offset, to_motors = maker.target_map()
     if spec.joint_signs is not None and min(spec.joint_signs) < 0:
         raise SurefootError(

@@ -18,7 +18,7 @@ from surefoot.robot import RobotDescription
 
 _FACTORS = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0, math.pi / 180, 180 / math.pi)
 """Usual scales, and what may have been forgotten or applied twice: .05, .25, .5, 2 and degrees."""
-_RATIOS = (0.25, 0.5, 2.0, 4.0)
+_GAIN_FACTORS = (0.25, 0.5, 2.0, 4.0)
 _GRAVITY = 9.81
 """Length of gravity in m/s^2, where the unit vector belongs."""
 
@@ -188,7 +188,7 @@ def _gravity_scales(spec: PolicySpecification, place: int, term: ObservationTerm
             yield Correction("observations", text, _with_term(spec, place, scaled))
 
 
-def _is_earths(length: float) -> bool:
+def _is_standard_gravity(length: float) -> bool:
     return bool(np.isclose(length, _GRAVITY, rtol=0.01))
 
 
@@ -272,13 +272,13 @@ def _histories(spec: PolicySpecification, robot: RobotDescription) -> Iterator[C
 
 
 def _actions(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
-    for factor in _RATIOS:
+    for factor in _GAIN_FACTORS:
         scale = _times(spec.action_scale, factor)
         text = f"scale of actions: it should be {_numbers(scale)}, {factor:g} times as large"
         yield Correction("action_scale", text, replace(spec, action_scale=scale))
     own = np.broadcast_to(spec.action_scale, len(spec.joints))
     for group, chosen in _joint_groups(spec, robot, sides=False).items():
-        for factor in _RATIOS:
+        for factor in _GAIN_FACTORS:
             scales = np.where(chosen, factor, 1.0) * own
             text = f"scale of actions ({group}): it should be {_numbers(scales[chosen])}, {factor:g} times as large"
             yield Correction("action_scale", text, replace(spec, action_scale=tuple(scales.tolist())))
@@ -288,15 +288,15 @@ def _actions(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Cor
 
 def _timing(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
     for name, what, unit in (("kp", "proportional gains", "N m/rad"), ("kd", "derivative gains", "N m s/rad")):
-        for factor in _RATIOS:
+        for factor in _GAIN_FACTORS:
             value = _times(getattr(spec, name), factor)
             text = f"{what}: they should be {_numbers(value)} {unit}, {factor:g} times as large"
             yield Correction(name, text, replace(spec, **{name: value}))
-    for factor in _RATIOS:
+    for factor in _GAIN_FACTORS:
         kp, kd = _times(spec.kp, factor), _times(spec.kd, factor)
         text = f"gains: kp should be {_numbers(kp)} and kd {_numbers(kd)}, {factor:g} times as large"
         yield Correction("kp", text, replace(spec, kp=kp, kd=kd))
-    for factor in _RATIOS:
+    for factor in _GAIN_FACTORS:
         step = spec.control_step * factor
         if 0.004 <= step <= 0.05:
             text = f"control step: it should be {1e3 * step:g} ms"

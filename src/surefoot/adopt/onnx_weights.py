@@ -34,7 +34,7 @@ def read_network(path: Path) -> bytes:
             entries = {entry.key: entry.value for entry in tensor.external_data}
             name = entries.get("location", "")
             if name not in files:
-                files[name] = _read_beside(path, name)
+                files[name] = _read_weights(path, name)
             start, size = (_whole(entries.get(key), default) for key, default in (("offset", 0), ("length", -1)))
             end = len(files[name]) if size < 0 else start + size
             if end > len(files[name]):
@@ -64,7 +64,7 @@ def _whole(text: str | None, default: int) -> int:
     return int(text)
 
 
-def _read_beside(path: Path, name: str) -> bytes:
+def _read_weights(path: Path, name: str) -> bytes:
     """Return the bytes of a file of a plain name in the folder of another one."""
     if not name or name in (".", "..") or any(letter in name for letter in "/\\\0"):
         raise SurefootError(f"its weights are in {quote(name)}; they must be in a file next to it")

@@ -23,7 +23,7 @@ _JOINT_FRICTION = ("motor_friction", "motor_viscous_friction", "load_friction")
 
 
 @dataclass(frozen=True)
-class RobotGuess:
+class RobotVariant:
     """A robot that differs from the simulated one in what surefoot guesses."""
 
     latency: float | None = None
@@ -61,11 +61,11 @@ class RobotGuess:
         return changed
 
 
-def robot_guesses(latency: float) -> Sequence[RobotGuess]:
+def robot_variants(latency: float) -> Sequence[RobotVariant]:
     """Return the robots to try for a policy whose readings are simulated with an age `latency` [s]."""
     ages = [age for age in _AGES if abs(age - latency) > 1e-3]
     bases = (None, ages[0] if ages[0] == 0.0 else None)
-    guesses = [RobotGuess(age) for age in ages]
-    guesses += [RobotGuess(*one) for one in product(bases, _FACTORS, _FACTORS)]
-    guesses += [RobotGuess(age, ground=ground) for age, ground in product(bases, _GROUND)]
-    return [guess for guess in dict.fromkeys(guesses) if guess != RobotGuess()]
+    guesses = [RobotVariant(age) for age in ages]
+    guesses += [RobotVariant(*one) for one in product(bases, _FACTORS, _FACTORS)]
+    guesses += [RobotVariant(age, ground=ground) for age, ground in product(bases, _GROUND)]
+    return [guess for guess in dict.fromkeys(guesses) if guess != RobotVariant()]

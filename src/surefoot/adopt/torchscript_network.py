@@ -78,7 +78,7 @@ def main(words: list[str]) -> int:
     from surefoot.adopt.torchscript_tracing import trace, warm_up
 
     data, width = sys.stdin.buffer.read(), int(words[0])
-    output = sandbox.take_output()
+    output = sandbox.claim_stdout()
     warm_up()
     try:
         if _TRUSTED not in words:

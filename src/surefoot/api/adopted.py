@@ -12,7 +12,7 @@ from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
 
 
-class Examined(NamedTuple):
+class ExaminationResult(NamedTuple):
     """An adopted policy, examined; `files` are those that were written."""
 
     name: str
@@ -29,7 +29,7 @@ def examine_policy(
     threads: int = 0,
     out: Path | None = None,
     correct: Path | None = None,
-) -> Examined:
+) -> ExaminationResult:
     """Simulate an adopted policy as it is, with each of the usual mistakes corrected, and on other robots.
 
     Args:
@@ -46,7 +46,7 @@ def examine_policy(
     """
     from surefoot.adopt.builder import adopted_notes
     from surefoot.adopt.diagnosis import check_answers, diagnose
-    from surefoot.adopt.examination import stated_specification
+    from surefoot.adopt.examination import require_specification
     from surefoot.adopt.formats import manual
     from surefoot.adopt.mistakes import Correction
     from surefoot.world.registry import find_world
@@ -64,7 +64,7 @@ def examine_policy(
         manual.write(correct, diagnosis.mistake.correction.specification)
         files = [correct]
     if out is not None:
-        from surefoot.adopt.examination import Corrected, run_task
+        from surefoot.adopt.examination import CorrectedPolicy, run_task
         from surefoot.api.episodes import film
         from surefoot.evaluation.rollout import run_episodes
         from surefoot.report.pages.adopted import write_page
@@ -75,8 +75,8 @@ def examine_policy(
         if diagnosis.mistake is not None and diagnosis.mistake.correction is not None:
             shown.append((f"changed; {diagnosis.mistake.correction.text}", diagnosis.mistake.correction))
         for k, (title, correction) in enumerate(shown):
-            chosen = stated_specification(runtime.contract) if correction is None else correction.specification
-            corrected = Corrected(runtime, description, [chosen])
+            chosen = require_specification(runtime.contract) if correction is None else correction.specification
+            corrected = CorrectedPolicy(runtime, description, [chosen])
             whole = run_task(task, corrected.makers[0], diagnosis.own)
             (trace,) = run_episodes(
                 corrected, whole, 1, find_world(world), seed, 1, world_name=world, policy_name=runtime.contract.name
@@ -85,4 +85,4 @@ def examine_policy(
             videos.append((f"{title}; it fell after {trace.duration:.1f} s" if trace.fell else title, path))
         page = write_page(out / "examination.html", runtime.contract.name, world, diagnosis, checks, videos)
         files += [page, *(path for _, path in videos)]
-    return Examined(runtime.contract.name, description, checks, files)
+    return ExaminationResult(runtime.contract.name, description, checks, files)

@@ -40,7 +40,7 @@ _COMMAND_TIMEOUT = 3.0
 """Time after which a command that is not repeated ends [s]."""
 _PUSH_DURATIONS = (0.1, 0.3, 1.0)
 """How long a push may last [s]."""
-_FIRST_SIZES = {
+_DEFAULT_SIZES = {
     **{"stairs": 0.08, "stairs_down": 0.10, "slope": 15.0, "slope_down": 15.0},
     **{"rough": 0.08, "blocks": 0.06, "gaps": 0.15, "stones": 0.40},
 }
@@ -338,7 +338,7 @@ class DrivePage:
         if kind not in KINDS:
             self._load_chosen("terrain", kind)
             return
-        size = _FIRST_SIZES[kind] if size is None else size
+        size = _DEFAULT_SIZES[kind] if size is None else size
         check_size(kind, size)
         self._load_chosen("terrain", f"{kind}:{size:g}")
 
@@ -385,7 +385,7 @@ def _terrains() -> dict[str, Any]:
     kinds: dict[str, Any] = {"flat": None}
     for name, kind in KINDS.items():
         step = kind.multiple or _SIZE_STEPS[kind.unit]
-        kinds[name] = [kind.unit, kind.meaning, *kind.range, step, _FIRST_SIZES[name]]
+        kinds[name] = [kind.unit, kind.meaning, *kind.range, step, _DEFAULT_SIZES[name]]
     return kinds
 
 

@@ -48,7 +48,7 @@ def standing_note(summary: dict[str, Any], reward: Mapping[str, float]) -> str |
     from surefoot.evaluation.footfalls import STANDING_REASON
 
     asked = summary.get("rmse", {}).get("forward")
-    if summary.get("gait_reason") != STANDING_REASON or not reward or (asked is not None and asked < _ASKED):
+    if summary.get("gait_reason") != STANDING_REASON or not reward or (asked is not None and asked < _MIN_STANDING_ERROR):
         return None
     terms = [f"{name} {weight:g}" for name, weight in sorted(reward.items(), key=lambda one: -one[1]) if weight]
     return (
@@ -80,7 +80,7 @@ def saturation_note(summary: dict[str, Any]) -> str | None:
     )
 
 
-_ASKED = 0.05
+_MIN_STANDING_ERROR = 0.05
 """Error of the speed forward [m/s] of a robot that stands although it is to move."""
 
 

@@ -83,7 +83,7 @@ def run_test_worlds(
     """Run policies in test worlds around a condition, each with a progress bar; `options` as `run_sensitivity`."""
     from surefoot.evaluation.sensitivity import run_sensitivity
 
-    make_world, most, results = find_world(condition.world), WORLDS[condition.world].robots_side_by_side, []
+    make_world, most, results = find_world(condition.world), WORLDS[condition.world].robots_per_batch, []
     for one in candidates:
         task = condition.apply(one.task, robot)
         with ProgressBar(one.name) as bar:

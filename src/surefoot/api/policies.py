@@ -36,7 +36,7 @@ POLICY = "policy.onnx"
 """The policy in a run's folder."""
 
 
-def shipped_policies() -> dict[str, Path]:
+def released_policies() -> dict[str, Path]:
     """Return the files of the policies that ship, by name."""
     return {path.stem: path for folder in reversed(SEARCH_PATHS) for path in sorted(folder.glob("*.onnx"))}
 
@@ -47,7 +47,7 @@ def find_policy(policy: str) -> Path:
     Raises:
         SurefootError: none of them, a run without a policy, or a folder of several runs.
     """
-    shipped, path = shipped_policies(), Path(policy)
+    shipped, path = released_policies(), Path(policy)
     if path.is_file():
         return path
     if policy in shipped:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from surefoot.api.policies import SEARCH_PATHS, find_policy, shipped_policies
+from surefoot.api.policies import SEARCH_PATHS, find_policy, released_policies
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import check_digest
@@ -42,7 +42,7 @@ def list_policies(policy: str, robot: str) -> list[PolicyEntry]:
     file = find_policy(policy)
     shipped = [
         name
-        for name, path in sorted(shipped_policies().items())
+        for name, path in sorted(released_policies().items())
         if name == policy or (_robot_of(path) == robot and path.resolve() != file.resolve())
     ]
     first = [] if policy in shipped else [PolicyEntry(policy, run_label(file), "given")]

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
 
-EPISODE = "episode.npz"
+EPISODE_FILE = "episode.npz"
 """File of the median episode's trace among the figures of a run."""
 _LISTED = 4
 """Changes that a note names."""
@@ -41,11 +41,11 @@ _RANDOMIZED_EPISODES = 100
 def check_config(config: TrainConfig) -> None:
     """Refuse an invalid task, or an invalid run to start from, before a run folder is made."""
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.robot.mirror import is_mirrored
+    from surefoot.robot.mirror import is_symmetric
     from surefoot.task.env import LocomotionEnv
 
     env = LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
-    if config.ppo.symmetry and is_mirrored(env.robot):
+    if config.ppo.symmetry and is_symmetric(env.robot):
         from surefoot.learn.symmetry import MirrorSamples
 
         MirrorSamples(env)
@@ -261,5 +261,5 @@ def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], No
     draw_episode(figures, median, robot)
     # That of the median's environment, whose seed it has.
     film(robot, median, figures / "video.mp4", task.terrain.build(0).ground)
-    median.save(figures / EPISODE)
+    median.save(figures / EPISODE_FILE)
     return summaries

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from surefoot.deploy.pacer import LoopTiming
     from surefoot.deploy.run_saver import SavedRun
 
-_DRIVEN = 600.0
+_BROWSER_DURATION = 600.0
 """Length of a run that is driven from the page [s], if none is given."""
 SAFETY = 3
 """Exit code of a run that safety ended."""
@@ -97,7 +97,7 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.display import open_display
     from surefoot.deploy.loop import RunMonitor
     from surefoot.deploy.map_channel import MapChannel
-    from surefoot.deploy.pacer import undisturbed
+    from surefoot.deploy.pacer import real_time_priority
     from surefoot.stop_signals import StopSignals
 
     policy, robot = open_policy(find_policy(command.policy))
@@ -143,7 +143,7 @@ def main(argv: list[str]) -> int:
         deployment = Deployment(link, controller, stop, monitor, command.dry_run, commands, maps)
         stack.callback(deployment.close)
         if not command.lockstep:
-            stack.enter_context(undisturbed())
+            stack.enter_context(real_time_priority())
         deployment.connect(check)
         results, code = _runs(command, deployment)
     return _report(command, deployment, results, code)
@@ -152,14 +152,14 @@ def main(argv: list[str]) -> int:
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
     """Run after run, until one ends early; return the report of each, and the exit code."""
     from surefoot.deploy.command_sources import FileCommands
-    from surefoot.deploy.motion_runner import DOWN, UP
+    from surefoot.deploy.motion_runner import SHUTDOWN_TIME, UP
     from surefoot.deploy.pacer import LoopTiming
-    from surefoot.deploy.run_saver import RunSaver, next_free
+    from surefoot.deploy.run_saver import RunSaver, next_free_path
 
     contract = deployment.contract
     step = contract.control_step
     steps = deployment.controller.task.max_steps
-    duration = command.duration or (_DRIVEN if command.browser else None)
+    duration = command.duration or (_BROWSER_DURATION if command.browser else None)
     if duration is not None:
         steps = max(round(duration / step), 1)
     elif isinstance(deployment.commands, FileCommands):
@@ -167,9 +167,9 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     results: list[dict[str, Any]] = []
     code = 0
     for run in range(command.episodes):
-        path = None if command.dry_run and command.out is None else next_free(command.out or Path("deploy"))
+        path = None if command.dry_run and command.out is None else next_free_path(command.out or Path("deploy"))
         saver = RunSaver(deployment, path, steps, command.world_name, run)
-        timing = LoopTiming(steps + round((UP + DOWN) / step) + 16)
+        timing = LoopTiming(steps + round((UP + SHUTDOWN_TIME) / step) + 16)
         saver.begin()
         outcome = deployment.run(saver.recorder, timing)
         saved = saver.finish(outcome, timing, command.motion_capture)

@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from surefoot.emulator.board import EmulatedBoard
     from surefoot.emulator.fault_table import InjectedFault
     from surefoot.emulator.plant import Plant
-    from surefoot.emulator.real_time import RealTime, Summary
-    from surefoot.emulator.serial.lockstep import Lockstep
+    from surefoot.emulator.real_time import RealTimeLoop, Summary
+    from surefoot.emulator.serial.lockstep import LockstepLoop
     from surefoot.emulator.serial.serial_host_link import HostPort, SerialHostLink
 
 STRIDE = 3
@@ -175,7 +175,7 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     return params
 
 
-def _servo_every(robot: RobotDescription, fault: InjectedFault | None) -> int:
+def _servo_stride(robot: RobotDescription, fault: InjectedFault | None) -> int:
     """Return the physics steps between two steps of the servo, with its fault if it has one."""
     if fault is None:
         return 1
@@ -201,19 +201,19 @@ def make_plant(command: EmulateCommand, robot: RobotDescription, servo_every: in
 
 def make_loop(
     command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], port: HostPort, summary: Summary
-) -> RealTime | Lockstep:
+) -> RealTimeLoop | LockstepLoop:
     """Return the loop that runs the robot behind a pseudo-terminal or a socket, warmed up."""
     from surefoot.deploy.serial.serial_link import LEAD
-    from surefoot.emulator.real_time import RealTime
-    from surefoot.emulator.serial.lockstep import PATIENCE, Lockstep
+    from surefoot.emulator.real_time import RealTimeLoop
+    from surefoot.emulator.serial.lockstep import PATIENCE, LockstepLoop
     from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
-    plant = make_plant(command, robot, servo_every=_servo_every(robot, faults.get("slow-servo")))
+    plant = make_plant(command, robot, servo_every=_servo_stride(robot, faults.get("slow-servo")))
     if command.lockstep:
         link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)
-        return Lockstep(_make_board(command, plant, link, faults), link, port, summary)
+        return LockstepLoop(_make_board(command, plant, link, faults), link, port, summary)
     link = SerialHostLink(port, robot.num_motors, faults, command.baud, command.seed, lead=LEAD)
-    return RealTime(_make_board(command, plant, link, faults), summary, _load(faults))
+    return RealTimeLoop(_make_board(command, plant, link, faults), summary, _load(faults))
 
 
 def _make_board(
@@ -240,7 +240,7 @@ def _make_board(
 
 def make_dds_loop(
     command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], bus: Bus, summary: Summary
-) -> RealTime:
+) -> RealTimeLoop:
     """Return the loop that runs a Go2 behind its topics, warmed up."""
     from surefoot.deploy.dds.low_level import STATE_PERIOD
     from surefoot.deploy.serial.serial_link import LEAD
@@ -248,7 +248,7 @@ def make_dds_loop(
     from surefoot.emulator.dds.link import LowLevelLink
     from surefoot.emulator.dds.motion_service import EmulatedMotionService
     from surefoot.emulator.dds.own_controller import OwnController
-    from surefoot.emulator.real_time import RealTime
+    from surefoot.emulator.real_time import RealTimeLoop
 
     plant, controller = make_plant(command, robot), OwnController()
     if command.motion_service != "released":
@@ -259,7 +259,7 @@ def make_dds_loop(
     # A deployment uses, so long before its step, the newest state there is: half a period old on average.
     lead = LEAD + STATE_PERIOD / 2
     board = Go2Board(plant, LowLevelLink(bus), lead, controller, service, faults, command.seed)
-    return RealTime(board, summary, _load(faults))
+    return RealTimeLoop(board, summary, _load(faults))
 
 
 def _load(faults: dict[str, InjectedFault]) -> float:
@@ -267,7 +267,7 @@ def _load(faults: dict[str, InjectedFault]) -> float:
 
 
 def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault]) -> int:
-    from surefoot.deploy.pacer import undisturbed
+    from surefoot.deploy.pacer import real_time_priority
     from surefoot.emulator.capture_writer import CaptureWriter
     from surefoot.emulator.map_sender import MapSender
     from surefoot.emulator.real_time import Summary
@@ -280,7 +280,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
     def end(_: int) -> None:
         summary.stop = True
 
-    loop: RealTime | Lockstep
+    loop: RealTimeLoop | LockstepLoop
     observers: list[CaptureWriter | EmulateViewer | MapSender] = []
     with StopSignals(on_signal=end, respect_nohup=True), contextlib.ExitStack() as stack:
         if command.link == "dds":
@@ -308,7 +308,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
                 observers.append(EmulateViewer(command.robot, board.plant, command.terrain, command.seed))
             board.on_step = [observer.see for observer in observers]
             # A microcontroller has a processor of its own, so the emulator comes before other processes.
-            with contextlib.nullcontext() if command.lockstep else undisturbed():
+            with contextlib.nullcontext() if command.lockstep else real_time_priority():
                 print(f"robot on {place}", flush=True)
                 loop.run(command.duration)
         finally:

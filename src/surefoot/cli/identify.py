@@ -175,13 +175,13 @@ def _print_plan(command: ExperimentCommand, experiment: Experiment) -> int:
     prior = read_prior(command.params, robot).params.with_values(robot, **stated)
     if not command.json:
         show_plan(plan, robot.name, (-math.inf, math.inf), make_console())
-    from surefoot.cli.helpers.identify_results import check_installed, print_foresight
+    from surefoot.cli.helpers.identify_results import check_installed, print_expected_accuracy
 
     check_installed()
-    from surefoot.identify.motion.foresight import foresee, planned_motion
+    from surefoot.identify.motion.foresight import predict_accuracy, planned_motion
 
-    foresight = foresee(robot, [planned_motion(plan)], prior, tuple(stated))
-    print_foresight(robot, foresight, prior, "this plan", command.json)
+    foresight = predict_accuracy(robot, [planned_motion(plan)], prior, tuple(stated))
+    print_expected_accuracy(robot, foresight, prior, "this plan", command.json)
     return 0
 
 

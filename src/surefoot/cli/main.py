@@ -41,7 +41,7 @@ GROUPS = {
 }
 """Purpose of each command, by the heading of its group; command NAME is module surefoot.cli.NAME."""
 COMMANDS = {name: purpose for group in GROUPS.values() for name, purpose in group.items()}
-FORMER = {
+RENAMED_COMMANDS = {
     "play": "surefoot show POLICY, or for its --browser surefoot drive POLICY",
     "compare": "surefoot evaluate POLICY POLICY",
     "sensitivity": "surefoot evaluate sensitivity POLICY",
@@ -110,8 +110,8 @@ def _run(words: list[str]) -> int:
     if words[0] == "--version":
         print(f"surefoot {__version__}")
         return 0
-    if words[0] in FORMER:
-        raise SurefootError(f"'{words[0]}' is no command any more; type {FORMER[words[0]]}")
+    if words[0] in RENAMED_COMMANDS:
+        raise SurefootError(f"'{words[0]}' is no command any more; type {RENAMED_COMMANDS[words[0]]}")
     if words[0] not in COMMANDS:
         raise SurefootError(f"'{words[0]}' is not a command; {suggest(words[0], COMMANDS)}")
     if not all(word.isprintable() for word in words):

@@ -19,7 +19,7 @@ from surefoot.cli.helpers.output import Actions, make_console, next_command, pri
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, check_name
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import LOOKS
+from surefoot.robot.appearance import VISUALS_FILE
 from surefoot.robot.archive import SHEET
 from surefoot.robot.importing.imported import KNEE_SIGNS, ImportedRobot, Knees
 from surefoot.robot.importing.rules import describe_origins
@@ -72,7 +72,7 @@ def main(argv: list[str]) -> int:
 def _new(argv: list[str]) -> int:
     command = parse(NewRobotCommand, argv, "surefoot robot new")
     from surefoot.report.drawing.robot_picture import save_robot_picture
-    from surefoot.robot.importing.confined import read_robot
+    from surefoot.robot.importing.isolated_reader import read_robot
     from surefoot.world.description_checks import longest_servo_step
 
     imported = read_robot(command.file, command.forward, command.meshes)
@@ -85,7 +85,7 @@ def _new(argv: list[str]) -> int:
         f"forward is {imported.forward} of the file"
     )
     knees = command.knees or find_knees(imported)
-    with _whole_or_nothing(folder, (SHEET, URDF, LOOKS, PICTURE)):
+    with _whole_or_nothing(folder, (SHEET, URDF, VISUALS_FILE, PICTURE)):
         guesses = write_robot(imported, folder, name, knees)
         robot = RobotDescription.load(folder)
         if (step := longest_servo_step(robot)) < robot.timing.servo_step:

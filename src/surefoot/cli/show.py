@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.api.policies import POLICY, find_policy, shipped_policies
+from surefoot.api.policies import POLICY, find_policy, released_policies
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, check_suffix
 from surefoot.cli.helpers.parsing import options, parse, positional_words
 from surefoot.cli.helpers.simulator import RunOptions
@@ -108,7 +108,7 @@ def _is_recorded(word: str) -> bool:
     """Return whether a word names recorded runs, not a policy."""
     path = Path(word)
     if path.is_dir():
-        is_policy = word in shipped_policies() or (path / "run.json").is_file()
+        is_policy = word in released_policies() or (path / "run.json").is_file()
         return not (is_policy or (path / POLICY).is_file() or any(path.glob(f"*/{POLICY}")))
     return path.name.endswith((".npz", f".npz{SUFFIX}"))
 

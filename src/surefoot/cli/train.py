@@ -180,7 +180,7 @@ def _print_next_commands(console: Console, folder: RunFolder) -> None:
 def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: LoggerName) -> int:
     """Train in a run's folder, from its beginning or on from its last checkpoint; return the exit code."""
     from surefoot.api.episodes import print_summaries
-    from surefoot.api.training import EPISODE, run_training
+    from surefoot.api.training import EPISODE_FILE, run_training
 
     console = make_console()
     watch = None if page_port is None else partial(_page, port=page_port)
@@ -191,7 +191,7 @@ def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: Logge
     reward = type(folder).open(folder.path)[1].task.reward
     print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()}, reward)
     console.print(f"Policy, table, figures and video are in {folder.path}")
-    console.print(show_command([folder.path / "figures" / EPISODE]))
+    console.print(show_command([folder.path / "figures" / EPISODE_FILE]))
     console.print(next_command("drive it", "drive", folder.policy))
     return 0
 

@@ -17,7 +17,7 @@ from surefoot.errors import describe_os_errors
 
 PATIENCE = 2.0
 """Time [s] that the disk has for the last write."""
-_PIPE = 1 << 20
+_PIPE_SIZE = 1 << 20
 """Bytes that wait for the disk outside this process: what the kernel allows without privileges."""
 
 
@@ -49,7 +49,7 @@ class BackgroundFile:
                     command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True
                 )
             os.set_blocking(self._pipe, False)
-            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE)
+            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _PIPE_SIZE)
 
     @property
     def _pipe(self) -> int:

@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.task.contract_mapping import task_from_contract
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.observation import PARTS, Observer
 from surefoot.task.policy_plugins import check_plugins
 
@@ -21,9 +21,9 @@ Gains = float | Sequence[float] | Array
 """A gain of all motors, or one for each."""
 WATCHDOG_STEPS = 3
 """Control steps that the robot's watchdog must allow: a late command is held for two."""
-_STEP_SHARE = 0.1
+_STEP_TOLERANCE = 0.1
 """Greatest difference of a control step from a whole number of servo periods, in servo periods."""
-_ANGLE = 1e-4
+_ANGLE_TOLERANCE = 1e-4
 """Tolerance of angles [rad]: they travel as 32-bit numbers."""
 GAIN_TOLERANCE = 0.05
 """Greatest relative difference of servo gains and servo period from those in training."""
@@ -56,7 +56,7 @@ def check_policy(contract: Contract, robot: RobotDescription) -> None:
                     f"'{part.name}' is in {units[0]} for the policy and in {units[1]} here; they must be the same"
                 )
         task = task_from_contract(contract, robot)
-        if (error := _grid_error(contract, robot, task.sees)) is not None:
+        if (error := _grid_error(contract, robot, task.needs_height_map)) is not None:
             raise SurefootError(error)
         task.gait(robot)
         if len(contract.rest) != len(robot.coordinates):
@@ -167,16 +167,16 @@ def _names_error(what: str, names: Sequence[str], nominal: Sequence[str], source
     return None
 
 
-def _grid_error(contract: Contract, robot: RobotDescription, sees: bool) -> str | None:
-    """Return how the grid of a policy's map, which it has if it `sees`, differs from the robot's own."""
+def _grid_error(contract: Contract, robot: RobotDescription, needs_height_map: bool) -> str | None:
+    """Return how the grid of a policy's map, which it has if it `needs_height_map`, differs from the robot's own."""
     grid = contract.height_map
-    if (grid is not None) != sees:
+    if (grid is not None) != needs_height_map:
         return (
             "height_map is the grid of height_scan or of footholds; it must be there with one of these, and only then"
         )
     if grid is None:
         return None
-    for what, places, expected in zip(("ahead", "left"), (grid.ahead, grid.left), MAP.scale(robot), strict=True):
+    for what, places, expected in zip(("ahead", "left"), (grid.ahead, grid.left), POLICY_GRID.scale(robot), strict=True):
         if len(places) != len(expected) or not np.allclose(places, expected, atol=1e-4):
             return f"the {len(places)} places {what} of its map are not the {len(expected)} of {robot.name} here"
     return None
@@ -222,7 +222,7 @@ def _check_control_step(contract: Contract, handshake: Handshake) -> CheckResult
         error = f"{1e3 * step:g} ms; the robot takes commands every {1e3 * least:g} to {1e3 * greatest:g} ms"
         return CheckResult(name, False, error, remedy, step)
     periods = step / servo if servo > 0 else 0.0
-    whole = round(periods) >= 1 and abs(periods - round(periods)) <= _STEP_SHARE
+    whole = round(periods) >= 1 and abs(periods - round(periods)) <= _STEP_TOLERANCE
     error = f"{1e3 * step:g} ms is {periods:.2f} servo periods of {1e3 * servo:g} ms; it must be a whole number"
     return fail_if(name, None if whole else error, f"{1e3 * step:g} ms, {round(periods)} servo periods", remedy, step)
 
@@ -245,4 +245,4 @@ def _check_angle_limits(contract: Contract, handshake: Handshake, robot: RobotDe
         f"the robot takes {handshake.angle_low[worst]:.3f} to {handshake.angle_high[worst]:.3f}"
     )
     remedy = "widen the firmware's limits if the legs allow it, or train with narrower feedback"
-    return judge("angle limits", bool(room[worst] >= -_ANGLE), message, "", remedy, float(room[worst]))
+    return judge("angle limits", bool(room[worst] >= -_ANGLE_TOLERANCE), message, "", remedy, float(room[worst]))

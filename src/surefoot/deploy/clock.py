@@ -7,7 +7,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-SPIN = 150e-6
+SPIN_TIME = 150e-6
 """Last part of a wait [s], in which the clock is polled: a sleeping process wakes too late by up to as much."""
 WINDOW = 10.0
 """Time [s] in which the quickest frame is looked for. Clocks that differ by 50 ppm drift by 0.5 ms in it."""
@@ -26,8 +26,8 @@ class MonotonicClock:
     def wait_until(self, moment: float) -> None:
         """Wait until `moment` [s]: sleep most of the time, then poll the clock."""
         left = moment - self.now()
-        if left > SPIN:
-            time.sleep(left - SPIN)
+        if left > SPIN_TIME:
+            time.sleep(left - SPIN_TIME)
         while self.now() < moment:
             pass
 
@@ -91,6 +91,6 @@ class ClockSync:
         """Return how long ago the other clock showed `sent`."""
         return now - (sent + self.offset)
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Start anew, for a robot that was switched on again."""
         self._buckets.clear()

@@ -24,9 +24,9 @@ from surefoot.robot.commands import STAND
 from surefoot.stop_signals import StopSignals
 
 _WARM_UP = 20
-_MAP_PATIENCE = 1.0
+_MAP_TIMEOUT = 1.0
 """Time [s] to wait for the first map of heights."""
-PUNCTUAL, TRIES = 200, 10
+TIMING_STEPS, TRIES = 200, 10
 """Control steps that must pass without a fault before a robot is armed, and how often that is tried."""
 
 
@@ -104,14 +104,14 @@ class Deployment:
         maps = self.maps
         if maps is None:
             return
-        if self.link.wait_for(lambda: maps.read() is not None, _MAP_PATIENCE) and maps.newest is not None:
+        if self.link.wait_for(lambda: maps.read() is not None, _MAP_TIMEOUT) and maps.newest is not None:
             with prefix_errors("the robot is not armed"):
                 check_at_rest(maps.newest.sent, maps.grid, self.robot)
             return
         why = f" ({maps.why})" if maps.why else ""
         refused = f"; {maps.refused} datagrams were none of the policy's grid{why}" if maps.refused else ""
         raise SurefootError(
-            f"no map of heights arrives at port {maps.port} within {_MAP_PATIENCE:g} s{refused}; start the program "
+            f"no map of heights arrives at port {maps.port} within {_MAP_TIMEOUT:g} s{refused}; start the program "
             "that sends it"
         )
 
@@ -157,8 +157,8 @@ class Deployment:
         """
         verdict = GO
         for _ in range(TRIES):
-            loop = self._runner(LoopTiming(PUNCTUAL + 1), math.inf, dry_run=True).loop
-            verdict = loop.follow("check timing", PUNCTUAL, self._target)
+            loop = self._runner(LoopTiming(TIMING_STEPS + 1), math.inf, dry_run=True).loop
+            verdict = loop.follow("check timing", TIMING_STEPS, self._target)
             if verdict.act in (Act.GO, Act.SIT):
                 break
         # `run` handles an operator who asks to stop; a battery or a motor at its limit is an error.

@@ -16,18 +16,18 @@ from surefoot.arrays import Array
 from surefoot.deploy.messages import State
 from surefoot.deploy.pacer import LoopTiming, Pacer
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
-from surefoot.deploy.safety import GO, OF_ROBOT, Act, Guard, NotFiniteError, Verdict
+from surefoot.deploy.safety import GO, ROBOT_REASON, Act, Guard, NotFiniteError, Verdict
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 
-Compute = Callable[[int, State, int], Array]
+ComputeTarget = Callable[[int, State, int], Array]
 """Motor angles for a step: its number in the phase, the newest state, steps missed before it."""
-After = Callable[[int, State, bool], None]
+AfterStep = Callable[[int, State, bool], None]
 """Called when a step's command has been sent: its number, the state that it saw, whether a command was computed."""
 
-EARLY = 0.0005
+EARLY_RECEIVE = 0.0005
 """Time [s] before a step is due at which the loop receives a first time, so that little is left to decode then."""
-PING_STEPS = 16
+PING_INTERVAL = 16
 """Steps between two pings of a dry run: a silent operator may lose the robot to another one after a second."""
 
 
@@ -101,7 +101,7 @@ class ControlLoop:
         self._reported, self._reported_steps, self._reported_warnings = -math.inf, 0, 0
         self._longest_inference = math.nan
 
-    def steps_of(self, duration: float) -> int:
+    def num_steps(self, duration: float) -> int:
         """Return the control steps in a time [s], at least one."""
         return max(round(duration / self.control_step), 1)
 
@@ -109,8 +109,8 @@ class ControlLoop:
         self,
         phase: str,
         steps: int,
-        compute: Compute,
-        after: After | None = None,
+        compute: ComputeTarget,
+        after: AfterStep | None = None,
         upright: bool = True,
         sitting: bool = False,
     ) -> Verdict:
@@ -136,12 +136,12 @@ class ControlLoop:
                 return verdict
 
     def _step(
-        self, steps: int, compute: Compute, after: After | None, upright: bool, sitting: bool
+        self, steps: int, compute: ComputeTarget, after: AfterStep | None, upright: bool, sitting: bool
     ) -> tuple[Verdict, int]:
         link, clock = self.link, self.link.clock
         try:
             if not link.lockstep:
-                clock.wait_until(self.pacer.due(self.pacer.index + 1) - EARLY)
+                clock.wait_until(self.pacer.due(self.pacer.index + 1) - EARLY_RECEIVE)
                 link.update()
             tick = self.pacer.next()
             link.update()
@@ -154,7 +154,7 @@ class ControlLoop:
             verdict = self.guard.check(
                 clock.now(), state, age, tick.missed, self.operator.stops, not self.dry_run, upright
             )
-            if verdict.reason.startswith(OF_ROBOT) and (text := link.fault_text(state.reason)):
+            if verdict.reason.startswith(ROBOT_REASON) and (text := link.fault_text(state.reason)):
                 verdict = replace(verdict, text=f"{verdict.text}: {text}")
             if sitting and verdict.act is Act.SIT:
                 verdict = GO
@@ -179,7 +179,7 @@ class ControlLoop:
         if not self.dry_run:
             if self.target is not None:
                 self.link.command(self.guard.mode, self.target)
-        elif self.timing.steps % PING_STEPS == 0:
+        elif self.timing.steps % PING_INTERVAL == 0:
             self.link.ping()
 
     def damp(self) -> None:

@@ -22,7 +22,7 @@ from surefoot.deploy.channel import Channel, send
 from surefoot.deploy.map_check import check_grid
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import HeightMap
-from surefoot.task.height_scan import RANGE
+from surefoot.task.height_scan import MAX_RELATIVE_HEIGHT
 
 FRESH = 0.3
 """Time [s] over the age in training up to which a map is one to walk by; then the robot stands until the next one."""
@@ -111,7 +111,7 @@ def _parse_map(values: Any, grid: HeightMap) -> _Map | None:
     # As in training, what isn't known is as high as what is under the base.
     distance = np.hypot(*np.meshgrid(grid.ahead, grid.left, indexing="ij")).ravel()
     heights[~finite] = heights[np.argmin(np.where(finite, distance, np.inf))]
-    return _Map(np.clip(heights, -RANGE, RANGE), heights, float(age))
+    return _Map(np.clip(heights, -MAX_RELATIVE_HEIGHT, MAX_RELATIVE_HEIGHT), heights, float(age))
 
 
 def send_map(

@@ -22,7 +22,7 @@ TOLERANCE, RELATIVE_TOLERANCE = 0.05, 0.1
 """Greatest difference [m] of the ground in the map and under the feet, and what is added to it over a leg's length."""
 LYING = 0.002
 """Least height [m] of the base's origin over the ground, where a robot lies."""
-_PLACES = 0.1
+_POSITION_TOLERANCE = 0.1
 """Greatest difference of a stated place from the policy's, relative to the distance of the points."""
 
 
@@ -41,10 +41,10 @@ def check_grid(values: dict[str, Any], grid: HeightMap) -> None:
         if len(stated) != len(own):
             raise SurefootError(f"the map has {len(stated)} places {where}, the policy {len(own)}")
         spacing = own[1] - own[0]
-        if np.abs(np.subtract(stated, own)).max() <= _PLACES * spacing:
+        if np.abs(np.subtract(stated, own)).max() <= _POSITION_TOLERANCE * spacing:
             continue
         apart = (stated[-1] - stated[0]) / (len(stated) - 1)
-        if abs(apart - spacing) > _PLACES * spacing / len(own):
+        if abs(apart - spacing) > _POSITION_TOLERANCE * spacing / len(own):
             raise SurefootError(f"the map's points are {apart:.4g} m apart {where}, the policy's {spacing:.4g}")
         raise SurefootError(f"the map's points begin {stated[0]:.4g} m {where}, the policy's {own[0]:.4g}")
 
@@ -61,7 +61,7 @@ def check_at_rest(heights: Array, grid: HeightMap, robot: RobotDescription) -> N
         SurefootError: what is likely to be wrong.
     """
     feet = robot.foot_positions(robot.resting_angles)
-    ground, stands = _under(heights, grid, feet), -float(np.median(feet[:, 2]))
+    ground, stands = _neutral_feet(heights, grid, feet), -float(np.median(feet[:, 2]))
     if not -(stands + tolerance(robot)) <= ground <= -LYING:
         raise SurefootError(_difference(ground, stands, robot))
 
@@ -85,7 +85,7 @@ def check_standing(
     feet = robot.foot_positions(angles) @ rpy_matrix(roll, pitch, 0.0).T
     differences = [float(_at(heights, grid, foot) - foot[2]) for foot in feet]
     if abs(float(np.median(differences))) > tolerance(robot):
-        raise SurefootError(_difference(_under(heights, grid, feet), -float(np.median(feet[:, 2])), robot))
+        raise SurefootError(_difference(_neutral_feet(heights, grid, feet), -float(np.median(feet[:, 2])), robot))
 
 
 def tolerance(robot: RobotDescription) -> float:
@@ -100,7 +100,7 @@ def _at(heights: Array, grid: HeightMap, point: Array) -> float:
     return float(heights[row * len(grid.left) + column])
 
 
-def _under(heights: Array, grid: HeightMap, feet: Array) -> float:
+def _neutral_feet(heights: Array, grid: HeightMap, feet: Array) -> float:
     """Return the median height [m] of the map where the feet are and in their middle."""
     points = [*feet[:, :2], feet[:, :2].mean(axis=0)]
     return float(np.median([_at(heights, grid, point) for point in points]))

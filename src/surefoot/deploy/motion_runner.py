@@ -20,19 +20,19 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
-FLAT, FOLD, PAUSE, RISE, HOLD = 1.0, 1.0, 0.3, 1.5, 0.5
+FLAT, FOLD_TIME, PAUSE_TIME, RISE_TIME, HOLD = 1.0, 1.0, 0.3, 1.5, 0.5
 """Time [s] to lay the legs flat, to draw them in, to come to rest, to stand up, and to stand before the policy starts
 (as long as a robot settles in simulation)."""
-UP = FLAT + FOLD + PAUSE + RISE + HOLD
+UP = FLAT + FOLD_TIME + PAUSE_TIME + RISE_TIME + HOLD
 """Time [s] from arming to the policy's start."""
-DROP, REST, SIT = 0.2, 0.7, 1.5
+DROP_TIME, REST, SIT = 0.2, 0.7, 1.5
 """Time [s] to drop from a gait to sitting, to come to rest there, and to sit down from standing or from a fall."""
-DOWN = max(DROP + REST, SIT)
+SHUTDOWN_TIME = max(DROP_TIME + REST, SIT)
 """Longest time [s] from the policy's end to disarming."""
 STILL_SPEED = 0.5
 """Speed [rad/s] of motors and base below which a fallen robot lies still."""
-_STILL_PATIENCE = 5.0
-_ANSWER, _PING, _ATTEMPTS = 0.3, 0.02, 5
+_STILL_TIMEOUT = 5.0
+_ANSWER_TIMEOUT, _PING_PERIOD, _ATTEMPTS = 0.3, 0.02, 5
 _CLEAN_MARGIN = 0.1
 
 
@@ -122,12 +122,12 @@ class MotionRunner:
 
     def ping_until(self, condition: Callable[[], bool], timeout: float) -> bool:
         """Wait until a condition holds, at most `timeout` [s], and ping meanwhile; return whether it does."""
-        return self.link.ping_until(condition, timeout, _PING)
+        return self.link.ping_until(condition, timeout, _PING_PERIOD)
 
     def _repeat_until(self, request: Callable[[], None], condition: Callable[[], bool]) -> bool:
         for _ in range(_ATTEMPTS):
             request()
-            if self.link.wait_for(condition, _ANSWER / _ATTEMPTS):
+            if self.link.wait_for(condition, _ANSWER_TIMEOUT / _ATTEMPTS):
                 return True
         return False
 
@@ -152,7 +152,7 @@ class MotionRunner:
             upright: see `ControlLoop.follow`.
             sitting: see `ControlLoop.follow`.
         """
-        start, steps = self.target if start is None else start, self.loop.steps_of(duration)
+        start, steps = self.target if start is None else start, self.loop.num_steps(duration)
 
         def compute(k: int, state: State, missed: int) -> Array:
             self.check_state(state)
@@ -174,9 +174,9 @@ class MotionRunner:
         flat, drawn = lying_pose(self.robot, present), sitting_pose(self.robot)
         for phase, start, end, duration in (
             ("lay legs flat", present, flat, FLAT),
-            ("draw legs in", flat, drawn, FOLD),
-            ("sit", drawn, drawn, PAUSE),
-            ("stand up", drawn, standing, RISE),
+            ("draw legs in", flat, drawn, FOLD_TIME),
+            ("sit", drawn, drawn, PAUSE_TIME),
+            ("stand up", drawn, standing, RISE_TIME),
             ("stand", standing, standing, HOLD),
         ):
             self.risen = self.risen or phase == "stand up"
@@ -191,7 +191,7 @@ class MotionRunner:
         A tilt beyond the limit is no fall here, since damped motors would do no better. The robot's own limit holds.
         """
         drawn = sitting_pose(self.robot)
-        verdict = self.move("drop", drawn, DROP, upright=False, sitting=True)
+        verdict = self.move("drop", drawn, DROP_TIME, upright=False, sitting=True)
         if verdict.act is not Act.GO:
             return verdict
         return self.move("sit", drawn, REST, start=drawn, upright=False, sitting=True)
@@ -208,7 +208,7 @@ class MotionRunner:
     def recover_from_fall(self) -> str:
         """Wait until a damped robot lies still, then let it sit, unless it lies on its side; return the result."""
         self.release(damp=True)
-        self.loop.monitor.phase("lie still", _STILL_PATIENCE)
+        self.loop.monitor.phase("lie still", _STILL_TIMEOUT)
         clock = self.link.clock
         earliest = clock.now() + self.clean_time
 
@@ -216,7 +216,7 @@ class MotionRunner:
             speed = max(np.abs(self.state.motor_velocity).max(), np.abs(self.state.angular_velocity_base).max())
             return clock.now() >= earliest and bool(speed < STILL_SPEED)
 
-        if not self.ping_until(still, _STILL_PATIENCE):
+        if not self.ping_until(still, _STILL_TIMEOUT):
             return "it does not come to rest and stays damped"
         if np.abs(self.state.roll_pitch_yaw[:2]).max() > self.handshake.tilt_limit:
             return "it lies on its side and stays damped"

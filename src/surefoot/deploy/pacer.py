@@ -20,7 +20,7 @@ PRIORITY = 20
 BOARD_PRIORITY = 30
 """Priority of a process that is the robot's board, with all its threads: above the control loop that it watches."""
 _NICE = -10
-_SWITCH = 1e-4
+_SWITCH_INTERVAL = 1e-4
 """Longest time [s] for which another thread of this process keeps the loop's thread from running."""
 
 
@@ -101,7 +101,7 @@ class LoopTiming:
 
 
 @contextlib.contextmanager
-def undisturbed(priority: int = PRIORITY, threads: bool = False) -> Iterator[None]:
+def real_time_priority(priority: int = PRIORITY, threads: bool = False) -> Iterator[None]:
     """Run without garbage collection and with a high priority; without the right to it, with the highest possible.
 
     Args:
@@ -111,7 +111,7 @@ def undisturbed(priority: int = PRIORITY, threads: bool = False) -> Iterator[Non
     interval, collecting = sys.getswitchinterval(), gc.isenabled()
     gc.collect()
     gc.disable()
-    sys.setswitchinterval(_SWITCH)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     raised = _raise_priority(priority, threads)
     try:
         yield

@@ -17,9 +17,9 @@ from surefoot.errors import SurefootError
 
 STATE_PERIOD = 0.010
 """Time [s] between two states while a robot receives no commands."""
-LISTEN = 5.0
+LISTEN_TIME = 5.0
 """Time [s] for which nobody else must have commanded the motors before they are armed."""
-_POLL, _PING = 0.002, 0.05
+_POLL, _PING_PERIOD = 0.002, 0.05
 
 
 class LinkLostError(RuntimeError):
@@ -27,7 +27,7 @@ class LinkLostError(RuntimeError):
 
 
 @dataclass(frozen=True)
-class Arrival:
+class ReceivedPacket:
     """A packet, and when it was received [s], on the receiver's clock."""
 
     packet: Packet
@@ -84,7 +84,7 @@ class RobotLink(ABC):
         """The newest state, when it was sent on the robot's clock [s], and the number of states received."""
         self.faults: list[Fault] = []
         """Faults that the robot has reported, oldest first."""
-        self.pongs: dict[int, Arrival] = {}
+        self.pongs: dict[int, ReceivedPacket] = {}
         """Answers to pings, by token."""
         self.on_state: Callable[[State, float, float], None] | None = None
         """Called for each state with the robot's time [s] and this computer's [s]."""
@@ -108,7 +108,7 @@ class RobotLink(ABC):
         """Send a message; never waits."""
 
     @abstractmethod
-    def receive(self) -> list[Arrival]:
+    def receive(self) -> list[ReceivedPacket]:
         """Return all packets that have arrived since the last call, in order; never waits.
 
         Raises:
@@ -205,7 +205,7 @@ class RobotLink(ABC):
             elif isinstance(message, Handshake) and message.session == self.session and self.handshake is None:
                 # States before it were meant for another operator.
                 self.handshake, self.state, self.connected = message, None, arrival.time
-                self.sync.forget()
+                self.sync.reset()
             self.sync.add(packet.time, arrival.time)
 
     def last_state(self) -> State:
@@ -223,23 +223,23 @@ class RobotLink(ABC):
         return next((fault.text for fault in reversed(self.faults) if fault.reason == reason), "")
 
     def listen(self) -> str:
-        """Wait until the link has heard for `LISTEN` whether other programs command the motors.
+        """Wait until the link has heard for `LISTEN_TIME` whether other programs command the motors.
 
         Return what was heard in that time, empty if nothing.
         """
         if not self.hears_others:
             return ""
-        left = self.connected + LISTEN - self.clock.now()
+        left = self.connected + LISTEN_TIME - self.clock.now()
         if left > 0:
             self.ping_until(lambda: bool(self.foreign_commands), left)
         now = self.clock.now()
-        heard = [now - at for at in self.foreign_commands if now - at < LISTEN]
+        heard = [now - at for at in self.foreign_commands if now - at < LISTEN_TIME]
         if not heard:
             return ""
         count = f"{len(heard)} message{'s' if len(heard) > 1 else ''}"
         return f"another program commands the motors: {count}, the last {heard[-1]:.1f} s ago"
 
-    def ping_until(self, condition: Callable[[], bool], timeout: float, period: float = _PING) -> bool:
+    def ping_until(self, condition: Callable[[], bool], timeout: float, period: float = _PING_PERIOD) -> bool:
         """Wait until a condition holds, at most `timeout` [s], and ping every `period` [s]; return whether it does."""
         last = -math.inf
 

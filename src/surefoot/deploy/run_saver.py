@@ -15,11 +15,11 @@ from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.trace_file import TraceFile
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import SUFFIX, TraceHead
+from surefoot.task.partial_trace import SUFFIX, TraceHeader
 from surefoot.task.trace import EpisodeTrace, run_meta
 
 
-def next_free(folder: Path) -> Path:
+def next_free_path(folder: Path) -> Path:
     """Return the first of run_000.npz, run_001.npz, ... that no run has, whole or partial."""
     taken = set(os.listdir(folder)) if folder.is_dir() else set()
     names = (f"run_{number:03d}.npz" for number in itertools.count())
@@ -66,7 +66,7 @@ class RunSaver:
         if contract.height_map is not None:
             meta["height_map"] = {"ahead": contract.height_map.ahead, "left": contract.height_map.left}
         commands = contract.commands is not None
-        self._head = TraceHead.of_robot(meta, len(contract.action_names), commands, robot.archive)
+        self._head = TraceHeader.of_robot(meta, len(contract.action_names), commands, robot.archive)
         self.recorder = Recorder(self._head.layout, contract.control_step, max_steps, self._keep)
         self._file: TraceFile | None = None
         self._stop_reported = False

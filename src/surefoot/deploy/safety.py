@@ -19,7 +19,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.sheet import Heat
 
 _ROUNDING = 1e-6
-OF_ROBOT = "robot "
+ROBOT_REASON = "robot "
 """What a verdict's reason begins with where the robot itself has named it."""
 
 
@@ -174,13 +174,13 @@ class Guard:
         known = state.reason in {*Reason}
         name = Reason(state.reason).name.lower().replace("_", " ") if known else str(state.reason)
         if state.mode == Mode.FAULT:
-            return Verdict(Act.GONE, f"{OF_ROBOT}{name}", f"the robot has damped its motors ({name})")
+            return Verdict(Act.GONE, f"{ROBOT_REASON}{name}", f"the robot has damped its motors ({name})")
         if state.mode != self.mode:
             return Verdict(Act.DAMP, "mode", f"the robot is in mode {state.mode}; it must be in {int(self.mode)}")
         if state.reason == Reason.REMOTE:
             return Verdict(Act.SIT, "operator", "stopped with the remote control")
         if state.reason:
-            return Verdict(Act.SIT, f"{OF_ROBOT}{name}", f"the robot asks to sit ({name})")
+            return Verdict(Act.SIT, f"{ROBOT_REASON}{name}", f"the robot asks to sit ({name})")
         return GO
 
     def _lateness(self, state_age: float, missed: int) -> Verdict:

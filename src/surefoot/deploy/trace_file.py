@@ -15,9 +15,9 @@ from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.task.partial_trace import SUFFIX, row_bytes
 from surefoot.task.trace import EpisodeTrace
 
-FLUSH = 0.1
+WRITE_PERIOD = 0.1
 """Time [s] between two writes."""
-MAX_WAITING = 20_000
+MAX_PENDING = 20_000
 """Pieces of data that may wait for the disk, as memory of a robot's computer is short; then recording stops."""
 
 
@@ -38,7 +38,7 @@ class TraceFile:
             with tempfile.TemporaryFile(dir=path.parent):
                 pass
         self.path, self._head = path, head
-        self._partial = BackgroundFile(path.with_name(path.name + SUFFIX), FLUSH)
+        self._partial = BackgroundFile(path.with_name(path.name + SUFFIX), WRITE_PERIOD)
         self._has_head = False
 
     @property
@@ -51,7 +51,7 @@ class TraceFile:
         if not self._has_head:
             self._has_head = True
             self._partial.add(self._head())
-        if self._partial.waiting > MAX_WAITING:
+        if self._partial.waiting > MAX_PENDING:
             self._partial.stopped = "the disk is too slow"
         self._partial.add(row_bytes(rows))
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.limits import Limits
-from surefoot.deploy.board.signals import MotorOrder, Sensors, microseconds
+from surefoot.deploy.board.signals import MotorCommand, Sensors, microseconds
 from surefoot.deploy.messages import Handshake, Mode, Packet, Reason
 from surefoot.deploy.robot_link import LinkStatistics
 from surefoot.emulator.capture_writer import PERIOD
@@ -37,7 +37,7 @@ class BoardProgram(Protocol):
     def armed(self) -> bool:
         """Whether motors follow commands."""
 
-    def is_taken(self, now: int) -> bool:
+    def has_operator(self, now: int) -> bool:
         """Return whether the robot has an operator that may keep it."""
 
     def take(self) -> list[Packet]:
@@ -68,15 +68,15 @@ class EmulatedBoard(ABC):
         self.injector = FaultInjector(faults, plant)
         if "late-states" in faults:
             plant.extra_latency = faults["late-states"].value
-        link.chances = self.injector.chances
+        link.probabilities = self.injector.probabilities
         self.now = self.reboots = 0
         self.on_step: list[Callable[[int], None]] = []
         """Called with the time [us] after servo steps: after all, or at least after each that motion capture sees."""
         self._step = microseconds(plant.robot.timing.servo_step)
         self._start()
         self._booted = 0
-        self._order: MotorOrder | None = None
-        self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(plant.robot.num_motors))
+        self._order: MotorCommand | None = None
+        self._damped = self._last = MotorCommand(Mode.DISARMED, np.zeros(plant.robot.num_motors))
 
     @abstractmethod
     def _start(self) -> None:
@@ -87,7 +87,7 @@ class EmulatedBoard(ABC):
         """Hand the program what arrives next."""
 
     @abstractmethod
-    def _compute_order(self, now: int) -> MotorOrder:
+    def _compute_command(self, now: int) -> MotorCommand:
         """Return what the motors do in the servo step that begins."""
 
     @abstractmethod
@@ -115,7 +115,7 @@ class EmulatedBoard(ABC):
     def run_to(self, time: int) -> None:
         """Run everything that happens until a time."""
         while True:
-            standing = self._standing_until()
+            standing = self._stalled_until()
             step, due = self.next_step, max(self.firmware.next_state, standing)
             arrival = max(self.link.next_arrival, self.now, standing)
             at = min(step, due, arrival)
@@ -143,7 +143,7 @@ class EmulatedBoard(ABC):
         # Motion capture reads the robot at multiples of its period.
         return min(possible, (-first % PERIOD) // self._step + 1)
 
-    def _standing_until(self) -> int:
+    def _stalled_until(self) -> int:
         return max(self.injector.hangs_until, self._booted)
 
     def _begin_step(self) -> None:
@@ -152,10 +152,10 @@ class EmulatedBoard(ABC):
             self._order = self._decide()
             self._send()
 
-    def _decide(self) -> MotorOrder:
+    def _decide(self) -> MotorCommand:
         now = self.plant.ticks * self._step
-        if now >= self._standing_until():
-            self._last = self._compute_order(now)
+        if now >= self._stalled_until():
+            self._last = self._compute_command(now)
         return self._last
 
     def _physics(self, count: int) -> None:
@@ -166,7 +166,7 @@ class EmulatedBoard(ABC):
         end = self.plant.ticks * self._step
         self.now = max(self.now, end)
         self.injector.tick(end, self.firmware.armed)
-        self.link.chances = self.injector.chances
+        self.link.probabilities = self.injector.probabilities
         if self.injector.began("unplug"):
             self.link.cut_off()
         if not self.reboots and self.injector.began("reboot"):
@@ -217,5 +217,5 @@ class Board(EmulatedBoard):
     def _receive(self) -> None:
         self.link.receive(self.now, self.firmware)
 
-    def _compute_order(self, now: int) -> MotorOrder:
+    def _compute_command(self, now: int) -> MotorCommand:
         return self.injector.order(self.firmware.tick(now, self.plant.vitals()))

@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError
 
 PERIOD = 5_000
 """Time between two rows [us]: 200 Hz."""
-_WRITE_EVERY = 0.05
+_WRITE_PERIOD = 0.05
 
 
 class CaptureWriter:
@@ -38,7 +38,7 @@ class CaptureWriter:
             raise SurefootError(f"motion capture {path} exists; give another name") from None
         except OSError as error:
             raise SurefootError(f"motion capture {path}: {error.strerror}") from error
-        self.file = BackgroundFile(path, _WRITE_EVERY if later else None)
+        self.file = BackgroundFile(path, _WRITE_PERIOD if later else None)
         self._plant = plant
         self._last = plant.capture().contact_ticks, plant.ticks
         self._add([*COLUMNS, *(f"contact_{leg}" for leg in plant.robot.leg_names)])

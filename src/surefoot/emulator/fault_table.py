@@ -13,7 +13,7 @@ from enum import StrEnum
 
 from surefoot.errors import SurefootError, suggest
 
-HARMS = ("garbage", "drop", "cut-frames", "corrupt", "reorder", "duplicate")
+LINE_FAULTS = ("garbage", "drop", "cut-frames", "corrupt", "reorder", "duplicate")
 """What can happen to a packet on the line, in the order in which it is drawn; `FAULTS` describes each."""
 _MOTOR = "number of the motor"
 _AFTER_ARMING = "s after arming"

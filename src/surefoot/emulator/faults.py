@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.deploy.board.signals import MotorOrder, Sensors
+from surefoot.deploy.board.signals import MotorCommand, Sensors
 from surefoot.deploy.messages import Handshake, Mode, Packet, State
-from surefoot.emulator.fault_table import HARMS, InjectedFault
+from surefoot.emulator.fault_table import LINE_FAULTS, InjectedFault
 from surefoot.emulator.plant import Plant
 
 TILT_FORCE, TILT_TIME = 1.1, 0.4
 """Force of the push that topples a robot, over its weight, and its duration [s]."""
-FALL_OF_VOLTAGE, RISE_OF_TEMPERATURE = 2.0, 40.0
+VOLTAGE_FALL_RATE, HEATING_RATE = 2.0, 40.0
 """Rates at which a battery becomes low [V/s] and a motor hot [degC/s]."""
 _IMU_SIGNS = {1: (-1, 1), 2: (1, -1), 3: (-1, -1)}
 
@@ -39,8 +39,8 @@ class FaultInjector:
         self.hangs_until = 0
         """When the microcontroller's program goes on."""
         self._now = 0
-        self._order: MotorOrder | None = None
-        self._changed_order: MotorOrder | None = None
+        self._order: MotorCommand | None = None
+        self._changed_order: MotorCommand | None = None
         self._old: Packet | None = None
         self._number = 0
 
@@ -72,9 +72,9 @@ class FaultInjector:
         return name in self.faults and self._since(self.faults[name]) >= 0
 
     @property
-    def chances(self) -> dict[str, float]:
+    def probabilities(self) -> dict[str, float]:
         """Chance per frame of each harm on the line that has begun."""
-        return {name: fault.value for name in HARMS if (fault := self.active(name))}
+        return {name: fault.value for name in LINE_FAULTS if (fault := self.active(name))}
 
     def tick(self, now: int, armed: bool) -> None:
         """Take the end of a servo step, and whether the robot is armed."""
@@ -86,22 +86,22 @@ class FaultInjector:
         plant = self._plant
         if fault := self.active("battery-low"):
             fall = max(plant.start_voltage - fault.value, 0.0)
-            plant.voltage_drop = min(FALL_OF_VOLTAGE * max(self._since(fault), 0.0), fall)
+            plant.voltage_drop = min(VOLTAGE_FALL_RATE * max(self._since(fault), 0.0), fall)
         if (fault := self.active("motor-hot")) and plant.temperature[0] < fault.value:
-            plant.temperature[0] += RISE_OF_TEMPERATURE * plant.robot.timing.servo_step
+            plant.temperature[0] += HEATING_RATE * plant.robot.timing.servo_step
         if fault := self.faults.get("tilt"):
             force = TILT_FORCE * plant.robot.weight if 0 <= self._since(fault) < TILT_TIME else 0.0
             plant.push(np.array([0.0, force, 0.0]))
         if not self.hangs_until and self.began("hang"):
             self.hangs_until = now + round(self.faults["hang"].value * 1e6)
 
-    def order(self, order: MotorOrder) -> MotorOrder:
+    def order(self, order: MotorCommand) -> MotorCommand:
         """Return what the motors get instead of an order; the same object for the same order."""
         if order is not self._order:
-            self._order, self._changed_order = order, self._change_order(order)
+            self._order, self._changed_order = order, self._change_command(order)
         return self._changed_order or order
 
-    def _change_order(self, order: MotorOrder) -> MotorOrder:
+    def _change_command(self, order: MotorCommand) -> MotorCommand:
         servo, sign = self.wiring()
         values = order.values[servo]
         # An angle is mirrored at the resting angle, a duty at zero.

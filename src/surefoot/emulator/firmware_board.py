@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from surefoot.deploy.board.signals import MotorOrder
+from surefoot.deploy.board.signals import MotorCommand
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.board import EmulatedBoard
 from surefoot.emulator.fault_table import InjectedFault
@@ -42,7 +42,7 @@ class FirmwareBoard(EmulatedBoard):
     def _receive(self) -> None:
         self.firmware.receive(self.now, self.link.inbound.take())
 
-    def _decide(self) -> MotorOrder:
+    def _decide(self) -> MotorCommand:
         now = self.plant.ticks * self._step
         if self._fed + self.firmware.watchdog < now < self.injector.hangs_until:
             # The microcontroller's watchdog resets a program that stands still.
@@ -50,7 +50,7 @@ class FirmwareBoard(EmulatedBoard):
             self._reboot(now)
         return super()._decide()
 
-    def _compute_order(self, now: int) -> MotorOrder:
+    def _compute_command(self, now: int) -> MotorCommand:
         if not self._fed:
             self.firmware.share_priority()  # which the loop has raised by now
         self._fed = now
@@ -60,4 +60,4 @@ class FirmwareBoard(EmulatedBoard):
         effort = injector.efforts(self.firmware.tick(now, injector.servo_readings(plant.servo_readings())))
         if plant.robot.actuator.kind == "joint":
             effort = effort / plant.world.actuation.max_torque[0]
-        return MotorOrder(Mode.PWM, effort)
+        return MotorCommand(Mode.PWM, effort)

@@ -85,7 +85,7 @@ class FirmwareProcess:
         """Whether motors follow commands."""
         return self.mode in (Mode.POSITION, Mode.PWM)
 
-    def is_taken(self, now: int) -> bool:
+    def has_operator(self, now: int) -> bool:
         """Return whether the robot has an operator that may keep it."""
         return bool(self.owner) and now <= self._taken_until
 

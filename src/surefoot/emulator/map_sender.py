@@ -8,7 +8,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.map_channel import send_map
 from surefoot.emulator.plant import Plant
 from surefoot.rotations import quat_yaw
-from surefoot.task.height_scan import MAP, HeightScanner, ScanConfig
+from surefoot.task.height_scan import POLICY_GRID, HeightScanner, ScanConfig
 
 PERIOD = 20_000
 """Time between two maps [us]; the delay of a map is a number of these."""
@@ -39,7 +39,7 @@ class MapSender:
         if now % PERIOD:
             return
         self._scanner.update(self._ground, *self._pose())
-        send_map(self._port, self._scanner.heights.reshape(len(MAP.ahead), -1).tolist(), self._age)
+        send_map(self._port, self._scanner.heights.reshape(len(POLICY_GRID.ahead), -1).tolist(), self._age)
 
     def close(self) -> None:
         """Do nothing."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from surefoot.actuator.motor import joint_torque, servo_duty
 from surefoot.arrays import Array
-from surefoot.deploy.board.signals import MotorOrder, Sensors, Vitals
+from surefoot.deploy.board.signals import MotorCommand, Sensors, Vitals
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.errors import SurefootError
@@ -23,7 +23,7 @@ from surefoot.world.sim_world import SimWorld
 
 
 @dataclass(frozen=True)
-class Capture:
+class CaptureSample:
     """What a motion capture system and foot switches see.
 
     Position (3,) [m] of the base link's origin and orientation (4,), w x y z, in the world, and servo steps with ground
@@ -36,7 +36,7 @@ class Capture:
 
 
 @dataclass(frozen=True)
-class JointOrder:
+class JointCommand:
     """What joint actuators do until the next order, each (M,): torque = feedforward + kp (angle - q) + kd (speed - dq).
 
     Units: rad, rad/s, N m, N m/rad, N m s/rad. The sum is limited as the actuator is.
@@ -100,10 +100,10 @@ class Plant:
         self._torques: deque[Array] = deque(maxlen=max(steps, 1))
         """Torques of the last servo steps, for a microcontroller that computes the servos itself."""
         self._contact = np.zeros(len(robot.legs))
-        self._order: MotorOrder | JointOrder
-        self._obey(MotorOrder(Mode.DISARMED, np.zeros(motors)))
+        self._order: MotorCommand | JointCommand
+        self._obey(MotorCommand(Mode.DISARMED, np.zeros(motors)))
         # Load compiled code before the first step; the world has run the physics already.
-        self._look(0.0, 0.0)
+        self._delayed_state(0.0, 0.0)
         self._draw_power(np.zeros(motors))
 
     @property
@@ -126,7 +126,7 @@ class Plant:
         used = self.power.battery_drop * self._used / self.power.battery_capacity
         return self.start_voltage - self.voltage_drop - used
 
-    def step(self, order: MotorOrder | JointOrder, count: int = 1) -> None:
+    def step(self, order: MotorCommand | JointCommand, count: int = 1) -> None:
         """Run `count` servo steps under one order; update battery and heat after the last one.
 
         `count` is 1 if the servo runs less often than the physics; orders for joints need a servo that does not.
@@ -138,8 +138,8 @@ class Plant:
         if order is not self._order:
             self._obey(order)
         slow = self.servo_every > 1 and self.ticks % self.servo_every == 0
-        if slow and isinstance(order, MotorOrder) and order.mode != Mode.PWM:
-            seen = self._look(0.0, float(self.params.servo_latency[0]))
+        if slow and isinstance(order, MotorCommand) and order.mode != Mode.PWM:
+            seen = self._delayed_state(0.0, float(self.params.servo_latency[0]))
             motors = self.robot.num_motors
             actuation.duty[0] = self._duty(order.values, seen[:motors], seen[motors : 2 * motors])
         self._count[0] = count
@@ -150,10 +150,10 @@ class Plant:
         self._contact += actuation.contact_ticks[0]
         self._draw_power(self.temperature, count)
 
-    def _obey(self, order: MotorOrder | JointOrder) -> None:
+    def _obey(self, order: MotorCommand | JointCommand) -> None:
         actuation, none = self.world.actuation, np.zeros(self.robot.num_motors)
         self._order = order
-        if isinstance(order, JointOrder):
+        if isinstance(order, JointCommand):
             actuation.target[0], actuation.kp[0], actuation.kd[0] = order.angle, order.kp, order.kd
             # A joint actuator adds its duty, a share of its greatest torque, to that of its PD law.
             actuation.duty[0] = (order.feedforward + order.kd * order.speed) / actuation.max_torque[0]
@@ -181,7 +181,7 @@ class Plant:
         self._used += self.current * dt
         actuation.voltage[0] = max(self.open_circuit - power.battery_resistance * self.current, 1.0)
 
-    def _look(self, since_step: float, latency: float) -> Array:
+    def _delayed_state(self, since_step: float, latency: float) -> Array:
         """Return the state `latency` [s] before now, which is `since_step` [s] after the last servo step."""
         read_delayed(self.world.actuation, np.array([latency - since_step]), self._row[None])
         return self._row
@@ -205,7 +205,7 @@ class Plant:
         Angles, speeds and torques are as old as the servo latency.
         """
         actuation, motors = self.world.actuation, self.robot.num_motors
-        seen = self._look(0.0, float(self.params.servo_latency[0])).copy()
+        seen = self._delayed_state(0.0, float(self.params.servo_latency[0])).copy()
         now, speed = actuation.sample[0].copy(), seen[motors : 2 * motors]
         self._torques.append(actuation.motor_torque[0].copy())
         tilt, rate = now[-6:-3], now[-3:]
@@ -232,7 +232,7 @@ class Plant:
         The last servo step ended `since_step` [s] ago.
         """
         latency = max(float(self.params.control_latency[0]) + self.extra_latency - lead, 0.0)
-        row, motors = self._look(since_step, latency).copy(), self.robot.num_motors
+        row, motors = self._delayed_state(since_step, latency).copy(), self.robot.num_motors
         config, noise = self.sensors, self._noise
         angle, speed, tilt, rate = row[:motors], row[motors : 2 * motors], row[-6:-3], row[-3:]
         if config.encoder_step:
@@ -259,10 +259,10 @@ class Plant:
             temperature=self.temperature.copy(),
         )
 
-    def capture(self) -> Capture:
+    def capture(self) -> CaptureSample:
         """Return what a motion capture system sees now."""
         base = self.world.engine.base()[0]
-        return Capture(base[:3].copy(), base[3:7].copy(), self._contact.copy())
+        return CaptureSample(base[:3].copy(), base[3:7].copy(), self._contact.copy())
 
     def push(self, force_world: Array) -> None:
         """Set the force (3,) [N] on the base's centre of mass from now on."""

@@ -15,11 +15,11 @@ from surefoot.emulator.plant import Plant
 
 BEHIND = 10_000
 """Lag of the physics [us] from which on it is reported."""
-SLIP = 50_000
+MAX_LAG = 50_000
 """Lag [us] beyond which robot time slips instead of catching up."""
 _MAX_STRIDE = 4_000
 """Time [us] that the robot may advance before the port is read again, so that arrivals are stamped in time."""
-_REPORT_EVERY = 1.0
+_REPORT_PERIOD = 1.0
 _PAUSE = 1e-3
 """Pause [s] when robot time slips: a process that has priority over all others must not keep the processor."""
 
@@ -104,7 +104,7 @@ def measure(board: EmulatedRobot, summary: Summary) -> Iterator[None]:
     summary.processor_time = time.process_time() - used
 
 
-class RealTime:
+class RealTimeLoop:
     """Advances a robot by the computer's monotonic clock, and sleeps in between, until `summary.stop` is set.
 
     The physics takes at least `load` times real time.
@@ -131,7 +131,7 @@ class RealTime:
                     summary.behind += not late
                     self._report(lag)
                 late = lag > BEHIND
-                if lag > SLIP:
+                if lag > MAX_LAG:
                     summary.slips += 1
                     summary.slipped += lag / 1e6
                     start += lag / 1e6
@@ -157,4 +157,4 @@ class RealTime:
             file=sys.stderr,
             flush=True,
         )
-        self._next_report, self._since = real + _REPORT_EVERY, (real, used)
+        self._next_report, self._since = real + _REPORT_PERIOD, (real, used)

@@ -10,7 +10,7 @@ from typing import Literal
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.params import CONTROLLER
+from surefoot.robot.params import CONTROLLER_PARAMETERS
 from surefoot.robot.params_file import ParamValue, find_params, read_params
 from surefoot.robot.randomization import Ranges
 from surefoot.task.commands import read_schedule, schedule_duration
@@ -126,7 +126,7 @@ def data_sheet_task(task: TaskConfig) -> TaskConfig:
 
     Such a robot stands in for reality. Control step and gains, which the controller sets, are kept.
     """
-    params = {name: value for name, value in task.params.items() if name in CONTROLLER}
+    params = {name: value for name, value in task.params.items() if name in CONTROLLER_PARAMETERS}
     return replace(undisturbed_task(task), actuator="dc", params=params, params_source={})
 
 
@@ -147,8 +147,8 @@ def _apply_file(task: TaskConfig, path: Path, estimated_gains: bool) -> TaskConf
             "it belongs to the policy, not to the robot: leave it out of the file"
         )
     estimated = () if estimated_gains else file.tables.get("identified_by", ())
-    values = {name: value for name, value in file.values.items() if name not in CONTROLLER or name not in estimated}
-    own = {name: task.params[name] for name in CONTROLLER if name in task.params and name not in values}
+    values = {name: value for name, value in file.values.items() if name not in CONTROLLER_PARAMETERS or name not in estimated}
+    own = {name: task.params[name] for name in CONTROLLER_PARAMETERS if name in task.params and name not in values}
     return replace(task, params={**values, **own}, params_source=file.source)
 
 

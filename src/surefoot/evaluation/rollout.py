@@ -16,7 +16,7 @@ from surefoot.evaluation.runs import episode_metrics
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.partial_trace import TraceHead, row_layout
+from surefoot.task.partial_trace import TraceHeader, row_layout
 from surefoot.task.trace import EpisodeTrace, run_meta, trace_sizes
 from surefoot.world.interface import SimulationFactory
 
@@ -145,10 +145,10 @@ class EpisodeRecorder:
         self._command = self._newest_command()
         return rows
 
-    def head(self, robot: int, meta: dict[str, Any]) -> TraceHead:
+    def head(self, robot: int, meta: dict[str, Any]) -> TraceHeader:
         """Return the header of a robot's trace, with additional metadata."""
         start = {name: values[robot] for name, values in self._start.items()}
-        return TraceHead(self.layout, self._meta(robot) | meta, start, self.env.robot.archive)
+        return TraceHeader(self.layout, self._meta(robot) | meta, start, self.env.robot.archive)
 
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
         """Return the trace of a robot's first `steps` control steps, with additional metadata."""

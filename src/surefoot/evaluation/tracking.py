@@ -12,7 +12,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.rotations import in_heading_frame, quat_yaw
 from surefoot.tables import plain_value
-from surefoot.task.command_tracking import has_kept_up, step_ways
+from surefoot.task.command_tracking import is_success, step_distances
 from surefoot.task.trace import EpisodeTrace
 
 DEFAULT_STRIDE_PERIOD = 0.5
@@ -104,11 +104,11 @@ def distance_along(trace: EpisodeTrace) -> float:
 def is_successful(trace: EpisodeTrace) -> bool:
     """Return whether a run ended without a fall and covered 0.7 to 1.25 times the commanded path."""
     commanded, covered = _step_distances(trace)
-    return bool(has_kept_up(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
+    return bool(is_success(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
 
 
 def _step_distances(trace: EpisodeTrace) -> tuple[Array, Array]:
-    return step_ways(
+    return step_distances(
         np.nan_to_num(trace.command[:, :2]), measured_velocity(trace)[:, :2], np.diff(trace.time, prepend=0.0)
     )
 

@@ -17,7 +17,7 @@ from surefoot.robot.actuator import JointActuatorData
 from surefoot.task.config import load_task
 from surefoot.task.reference_config import FootReferenceConfig
 from surefoot.world.interface import WorldConfig
-from surefoot.world.motor_load import available_torque, describe_torque, measure_load, unlimited
+from surefoot.world.motor_load import available_torque, describe_torque, measure_load, without_torque_limits
 
 DURATION = 3.0
 """Duration of the trot [s], at least six strides."""
@@ -52,7 +52,7 @@ def check_trot(robot: RobotDescription) -> Iterator[CheckResult]:
         config = WorldConfig(rest=task.rest or gait.rest, actuator=task.actuator, threads=1)
         own, free = (
             measure_load(one, lambda time: gait.motor_targets([time], zero), DURATION, config, task.fall_angle)
-            for one in (robot, unlimited(robot))
+            for one in (robot, without_torque_limits(robot))
         )
     except SurefootError as error:
         yield CheckResult("torque to trot", None, str(error), "training needs a task that fits this robot")

@@ -23,7 +23,7 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.actuator import JointActuatorData
 
 SOURCES = Path(__file__).parent
-_TIMES = ("clean_gap", "owner_timeout", "voltage_time")
+_TIME_LIMITS = ("clean_gap", "owner_timeout", "voltage_time")
 """Limits that are times, in C in microseconds."""
 _STATED = ("voltage", "temperature", "tilt", "command_timeout", "command_period", "rearm_after")
 """Limits that the handshake states, and of which the program takes it."""
@@ -67,7 +67,7 @@ def _limits(limits: Limits) -> list[str]:
                 f"#define {name}_{end} {microseconds(one)}u" for end, one in zip(("MIN", "MAX"), value, strict=True)
             ]
         else:
-            number = f"{microseconds(value)}u" if item.name in _TIMES else _float(value)
+            number = f"{microseconds(value)}u" if item.name in _TIME_LIMITS else _float(value)
             lines.append(f"#define {name} {f'{value}u' if isinstance(value, int) else number}")
     return lines
 

@@ -23,7 +23,7 @@ from surefoot.identify.recording import (
     RecordedPhase,
     Recording,
     RecordingMeta,
-    digest_of,
+    digest_arrays,
 )
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
@@ -34,7 +34,7 @@ REST = 1.0
 """Time at rest before the robot is armed [s]."""
 LATE = 0.05
 """Age of the newest state [s], and time without a command, that end an experiment: the robot damps itself then."""
-BATTERY_ROOM = 0.3
+BATTERY_MARGIN = 0.3
 """Voltage [V] above the robot's own limit at which an experiment ends, if it stays there for a second."""
 
 
@@ -57,7 +57,7 @@ class _ExperimentRunner:
         self.lead = 0.0 if link.lockstep else self.period / 4
         steps = LATE / self.period
         # Batteries sag under an experiment's load, and recover: only the robot's own limit counts.
-        low = self.handshake.voltage_min + BATTERY_ROOM
+        low = self.handshake.voltage_min + BATTERY_MARGIN
         limits = SafetyLimits.from_robot(robot)
         self._limits = replace(limits, state_age=steps, missed_steps=int(steps) - 1, battery_low=low)
         self._monitor = monitor
@@ -128,7 +128,7 @@ class _ExperimentRunner:
             nonlocal start
             if start is None:
                 start = state.motor_angle.copy() if phase.mode == Mode.POSITION else np.zeros(self.robot.num_motors)
-            self._why = self._passed_limit(state, phase)
+            self._why = self._exceeded_limit(state, phase)
             if self._why:
                 raise ExperimentStoppedError(self._why)
             bounds = (low, high) if phase.mode == Mode.POSITION else (-1.0, 1.0)
@@ -138,20 +138,20 @@ class _ExperimentRunner:
             if loop.target is not None:
                 self._sent.append((self.link.next_number - 1, self.link.clock.now(), index, loop.target))
 
-        verdict = loop.follow(phase.name, loop.steps_of(phase.duration), target, after)
+        verdict = loop.follow(phase.name, loop.num_steps(phase.duration), target, after)
         self._target = loop.target
         if verdict.act is Act.SIT:
             loop.damp()
         if verdict.act is not Act.GO:
             raise ExperimentStoppedError(f"{self._why or verdict.text} (in phase '{phase.name}')")
 
-    def _passed_limit(self, state: State, phase: Phase) -> str:
+    def _exceeded_limit(self, state: State, phase: Phase) -> str:
         """Return the limit of the plan that is passed; empty, if none is."""
         plan, limits, names = self.plan, self.plan.limits, self.robot.motor_names
         low, high = (self._low, self._high) if phase.use == "transition" else (plan.angle_low, plan.angle_high)
         beyond = np.maximum(low - state.motor_angle, state.motor_angle - high)
         worst = int(np.argmax(beyond))
-        if self._sent and beyond[worst] > limits.angle_room:
+        if self._sent and beyond[worst] > limits.angle_margin:
             return (
                 f"{names[worst]} is at {state.motor_angle[worst]:.2f} rad, {beyond[worst]:.2f} beyond the plan's "
                 f"angles; at most {limits.angle_room:g}"
@@ -198,7 +198,7 @@ class _ExperimentRunner:
             resting_states=resting,
             frames=RecordedFrames(len(states), **frames),
             date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            digest=digest_of(arrays),
+            digest=digest_arrays(arrays),
         )
         return Recording(**arrays, meta=to_mapping(meta), robot_archive=self.robot.archive)
 

@@ -16,9 +16,9 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.model import ReplayModel, Unknown
 
-MIN_GAIN = 1e-5
+MIN_COST_DECREASE = 1e-5
 """Relative decrease of the cost that a step must promise; less ends the fit."""
-MAX_DEVIATION = 0.7
+MAX_DEVIATION_RATIO = 0.7
 """Greatest deviation of an identifiable number, as a share of its prior deviation, or of a quarter of its bounds."""
 MIN_CORRELATION = 0.8
 """Correlation from which two numbers are hardly distinguishable."""
@@ -68,7 +68,7 @@ class Fit:
     @property
     def identifiable(self) -> NDArray[np.bool_]:
         """Which unknowns the data determine (n,): those whose deviation is clearly less than before."""
-        return self.deviation < MAX_DEVIATION * self.prior_deviation
+        return self.deviation < MAX_DEVIATION_RATIO * self.prior_deviation
 
     @property
     def prior_deviation(self) -> Array:
@@ -142,7 +142,7 @@ def fit_least_squares(
         x_before, r_before, slopes = here[0]
         change = slopes @ (x - x_before)
         before = float(np.sum(r_before**2))
-        if -float(np.sum((2 * r_before + change) * change)) < MIN_GAIN * before:
+        if -float(np.sum((2 * r_before + change) * change)) < MIN_COST_DECREASE * before:
             converged[:] = [x if np.sum(r**2) < before else x_before]
             raise _ConvergedError
 
@@ -232,7 +232,7 @@ def hold_unidentifiable(
     shift = -np.linalg.lstsq(own.T @ own + np.diag(prior), own.T @ theirs, rcond=None)[0]
     start = np.array([unknown.start for unknown in again.unknowns])
     pull = own.T @ residuals + prior * (again.values - start) / inside
-    moment = _moment_of_held(theirs, own, shift, residuals, pull)
+    moment = _held_error_moment(theirs, own, shift, residuals, pull)
     shift, moment = inside[:, None] * shift / out, out[:, None] * moment * out
     covariance = np.empty((len(unknowns), len(unknowns)))
     covariance[np.ix_(free, free)] = again.covariance + shift @ moment @ shift.T
@@ -242,7 +242,7 @@ def hold_unidentifiable(
     return Fit(unknowns, values, covariance, residuals, jacobian, ~free, bool(considered))
 
 
-def _moment_of_held(held: Array, jacobian: Array, shift: Array, residuals: Array, pull: Array) -> Array:
+def _held_error_moment(held: Array, jacobian: Array, shift: Array, residuals: Array, pull: Array) -> Array:
     """Return the second moment (h, h) of what held unknowns are off: their posterior covariance and mean.
 
     All are in units of the unknowns' prior deviations.

@@ -8,7 +8,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 
 
-def kinds_of_joints(robot: RobotDescription, prior: PhysicalParams, name: str) -> dict[str, tuple[int, ...]]:
+def motors_by_joint_kind(robot: RobotDescription, prior: PhysicalParams, name: str) -> dict[str, tuple[int, ...]]:
     """Return the motors of each kind of joint by its name, where the prior has a number for each kind; else none."""
     if name not in PARAMETERS or PARAMETERS[name].per != "motors":
         return {}
@@ -16,10 +16,10 @@ def kinds_of_joints(robot: RobotDescription, prior: PhysicalParams, name: str) -
     means = [float(np.mean(values[motors])) for motors in places]
     if np.allclose(means, means[0]):
         return {}
-    return {kind_of_joint(robot, k): tuple(motors.tolist()) for k, motors in enumerate(places)}
+    return {joint_kind_name(robot, k): tuple(motors.tolist()) for k, motors in enumerate(places)}
 
 
-def kind_of_joint(robot: RobotDescription, place: int) -> str:
+def joint_kind_name(robot: RobotDescription, place: int) -> str:
     """Return the name of the joints at a place of every leg: what their motors' names have in common at the end."""
     ends = [robot.motor_names[motor][::-1] for motor in robot.leg_motor_index[:, place]]
     common = next((k for k in range(min(map(len, ends))) if len({end[: k + 1] for end in ends}) > 1), len(ends[0]))

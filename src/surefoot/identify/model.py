@@ -92,7 +92,7 @@ class Observations:
     """Numbers that say which unknowns affect a reading, such as its motor."""
 
 
-def _as_given(values: Array) -> Array:
+def _identity(values: Array) -> Array:
     return values
 
 
@@ -119,7 +119,7 @@ class ReplayModel:
     ) -> None:
         self.unknowns: Sequence[Unknown] = tuple(unknowns)
         self._all = self.unknowns
-        self._complete: Callable[[Array], Array] = _as_given
+        self._complete: Callable[[Array], Array] = _identity
         self.prior, self.observations = prior, observations
         self._batch, self._limit, self._params_of = batch, limit, params_of
         self._compared = [np.isfinite(one.noise) for one in observations]

@@ -42,7 +42,7 @@ class ExperimentLimits:
 
     torque: float
     """Torque [N m] that a motor may exceed for `torque_time`."""
-    angle_room: float = 0.7
+    angle_margin: float = 0.7
     """Distance [rad] of a motor from the plan's angles."""
     torque_time: float = 0.4
     """[s]"""

@@ -25,17 +25,17 @@ GAP = 1.5
 """Periods between two states beyond which one is lost."""
 MAX_CLOCK_SHIFT = 0.1
 """Deviation of robot's and host's clocks from even drift [s]."""
-MAX_STUCK = 0.1
+MAX_STUCK_FRACTION = 0.1
 """Share of the time in which a motor is moved for which a reading may stand still."""
 _STUCK_TIME = 0.02
 """Time [s] without change from which an angle stands still: a few readings are equal at every turn."""
 _MOVING_SPEED = 0.5
 """Speed [rad/s] of the target from which a motor is moved."""
-_CEILING_STATES = 3
+_SATURATED_STATES = 3
 """Equal torques in a row that count as a ceiling."""
 _TORQUE_RESOLUTION = 6e-4
 """Half of the resolution of torques in states [N m], and a little."""
-_MIN_CEILING = 0.2
+_MIN_SATURATION_TORQUE = 0.2
 """Torque [N m] below which nothing is a ceiling."""
 
 
@@ -146,22 +146,22 @@ def _check_readings(recording: Recording, robot: RobotDescription) -> None:
                 raise _error(f"{name} moves, and its {what} is {values[0]:g} {unit} all the time")
         stuck = moved[:, motor] & (_run_lengths(angle) > _STUCK_TIME / recording.period)
         share = stuck.sum() / max(moved[:, motor].sum(), 1)
-        if share > MAX_STUCK:
+        if share > MAX_STUCK_FRACTION:
             at = float(np.median(angle[stuck]))
             ends = {", at its greatest,": angle[fitted].max(), ", at its least,": angle[fitted].min()}
             end = next((text for text, value in ends.items() if np.isclose(at, value)), "")
             raise _error(
                 f"the angle of {name} stands still{end} at {at:.3f} rad for {share:.0%} of the time in which it is "
-                f"moved; at most {MAX_STUCK:.0%}: encoder, or something in the way"
+                f"moved; at most {MAX_STUCK_FRACTION:.0%}: encoder, or something in the way"
             )
         ceiling = float(np.abs(torque[fitted]).max())
         high = driven[:, motor] & (np.abs(torque) > ceiling - _TORQUE_RESOLUTION)
-        high &= _run_lengths(torque, _TORQUE_RESOLUTION) >= _CEILING_STATES
+        high &= _run_lengths(torque, _TORQUE_RESOLUTION) >= _SATURATED_STATES
         share = high.sum() / max(driven[:, motor].sum(), 1)
-        if share > MAX_STUCK and ceiling > _MIN_CEILING:
+        if share > MAX_STUCK_FRACTION and ceiling > _MIN_SATURATION_TORQUE:
             raise _error(
                 f"the torque of {name} is at a ceiling of {ceiling:.3f} N m for {share:.0%} of the time in which it is "
-                f"driven; at most {MAX_STUCK:.0%}: raise the limit of the current"
+                f"driven; at most {MAX_STUCK_FRACTION:.0%}: raise the limit of the current"
             )
 
 

@@ -16,7 +16,7 @@ from surefoot.columns import column, columns_of
 from surefoot.configuration import Positive, Within, typed_entries
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
-from surefoot.robot import ROBOT, RobotDescription, carried_robot
+from surefoot.robot import ROBOT, RobotDescription, load_embedded_robot
 
 SCHEMA = 1
 STILL = 0.002
@@ -203,7 +203,7 @@ def read_at(moments: Array, times: Array, values: Array) -> Array:
     return np.stack([np.interp(moments, times, column) for column in values.T], axis=1)
 
 
-def digest_of(arrays: dict[str, Array]) -> str:
+def digest_arrays(arrays: dict[str, Array]) -> str:
     """Return the SHA-256 over arrays, by name."""
     total = hashlib.sha256()
     for name in sorted(arrays):
@@ -220,7 +220,7 @@ def recorded_robot(path: Path) -> RobotDescription:
     """
     with prefix_errors(f"recording {path}"):
         arrays = read_npz(path)
-        return carried_robot(pop_bytes(arrays, ROBOT), (pop_meta(arrays) or {}).get("robot"))
+        return load_embedded_robot(pop_bytes(arrays, ROBOT), (pop_meta(arrays) or {}).get("robot"))
 
 
 def load_recording(path: Path, robot: RobotDescription, experiment: str | None = None) -> Recording:
@@ -246,7 +246,7 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
             raise SurefootError(f"is of experiment {meta['experiment']}, not {experiment}")
         sizes = {"C": arrays["sent_number"].size, "T": arrays["time"].size, "M": robot.num_motors}
         arrays = {name: declared.checked(name, arrays[name], sizes) for name, declared in columns.items()}
-        if digest_of(arrays) != meta["digest"]:
+        if digest_arrays(arrays) != meta["digest"]:
             raise SurefootError("was changed after it was made: its digest does not fit")
         if meta["ended"] != COMPLETE:
             raise SurefootError(f"did not come to its end: {meta['ended']}")

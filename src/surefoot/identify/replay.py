@@ -34,9 +34,9 @@ from surefoot.world.sim_world import SimWorld
 
 SETTLE = 0.6
 """Time [s] for which simulated robots hold the first command before the segment begins."""
-STARTING = 0.06
+INITIAL_WINDOW = 0.06
 """Time [s] whose readings give angles and speeds at the start of a motion on a rack."""
-MIN_STARTING = 5
+MIN_INITIAL_READINGS = 5
 """Readings in it that give a speed."""
 HELD = -1
 """Kind of command: servos hold the present angles, as from arming to the first command."""
@@ -46,7 +46,7 @@ HELD = -1
 class Segment:
     """A part of a recording: commands, and the states among them. Its time begins with the first command."""
 
-    order_tick: NDArray[np.int64]
+    command_tick: NDArray[np.int64]
     """Servo step from which each command acts (C,), rising from 0."""
     order: Array
     """Motor angles [rad] or duties (C, M)."""
@@ -66,7 +66,7 @@ class Segment:
     lead: float = 0.0
     """Time [s] from sending a state to its use, which the control latency includes."""
 
-    def stretched(self, scale: float, dt: float) -> Segment:
+    def with_clock_scale(self, scale: float, dt: float) -> Segment:
         """Return the segment of a recording whose clock was wrong: a second of it takes `scale` seconds.
 
         `dt` is the servo step [s].
@@ -75,7 +75,7 @@ class Segment:
         velocity = None if self.start_velocity is None else self.start_velocity / scale
         return replace(
             self,
-            order_tick=np.round(self.order_tick * scale).astype(np.int64),
+            command_tick=np.round(self.command_tick * scale).astype(np.int64),
             state_time=state_time,
             voltage=np.resize(self.voltage, _count_ticks(state_time, dt)),
             start_velocity=velocity,
@@ -110,7 +110,7 @@ def segment_from_recording(recording: Recording, first: int, last: int) -> Segme
     # The voltage falls when a command makes the current jump: the state that follows has a step's voltage.
     following = np.searchsorted(recording.time, (origin + np.arange(ticks)) * dt - CLOCK_RESOLUTION)
     return Segment(
-        order_tick=begins - origin,
+        command_tick=begins - origin,
         order=orders,
         kind=kind,
         state_time=state_time,
@@ -143,7 +143,7 @@ def segment_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Segm
                 elif np.isfinite(reading):
                     start[motor] = reading
     return Segment(
-        order_tick=np.ceil((motion.time - origin) / dt - 1e-6).astype(np.int64),
+        command_tick=np.ceil((motion.time - origin) / dt - 1e-6).astype(np.int64),
         order=motion.command,
         kind=np.full(len(motion.time), int(Mode.POSITION)),
         state_time=state_time,
@@ -155,11 +155,11 @@ def segment_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Segm
 
 
 def _first_readings(motion: RecordedMotion) -> tuple[Array, Array]:
-    """Return angles [rad] and speeds [rad/s] (M,) at the first row: a parabola through those of `STARTING`."""
-    first = motion.read_time <= motion.read_time[0] + STARTING
+    """Return angles [rad] and speeds [rad/s] (M,) at the first row: a parabola through those of `INITIAL_WINDOW`."""
+    first = motion.read_time <= motion.read_time[0] + INITIAL_WINDOW
     angles, since = motion.motor_angle[first], (motion.read_time - motion.read_time[0])[first]
     known = np.isfinite(angles).all(axis=1) & motion.fresh[first]
-    if known.sum() < MIN_STARTING:
+    if known.sum() < MIN_INITIAL_READINGS:
         return motion.motor_angle[0].copy(), np.zeros(motion.motor_angle.shape[1])
     # A parabola: a motion that begins from rest has no speed at its first row.
     _, slope, angle = np.polyfit(since[known], angles[known], 2)
@@ -273,9 +273,9 @@ def _simulate_segment(segment: Segment, world: SimWorld, params: PhysicalParams,
     torque = np.empty((ticks + 1 if torques else 0, rows, actuation.target.shape[1]))
     history[0], torque[:1] = actuation.sample[:rows], actuation.motor_torque[:rows]
     order, tick = -1, 0
-    changes = [*segment.order_tick.tolist(), ticks]
+    changes = [*segment.command_tick.tolist(), ticks]
     while tick < ticks:
-        while changes[order + 1] <= tick and order + 1 < len(segment.order_tick):
+        while changes[order + 1] <= tick and order + 1 < len(segment.command_tick):
             order += 1
             _apply_command(world, int(segment.kind[order]), segment.order[order], padded)
         actuation.voltage[:] = segment.voltage[tick]

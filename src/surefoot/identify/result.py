@@ -50,7 +50,7 @@ def indexed_name(name: str, index: int | None) -> str:
     return name if index is None else f"{name}[{index}]"
 
 
-def with_floor(name: str, value: float, deviation: float) -> float:
+def add_model_error(name: str, value: float, deviation: float) -> float:
     """Return a deviation that includes the simulator's own accuracy."""
     relative, absolute = RELATIVE_ACCURACIES.get(name, RELATIVE_ACCURACY), ABSOLUTE_ACCURACIES.get(name, 0.0)
     return float((deviation**2 + (relative * value) ** 2 + absolute**2) ** 0.5)

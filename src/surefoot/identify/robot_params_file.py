@@ -111,7 +111,7 @@ def read_gains(prior: ParamsFile) -> dict[str, ParamValue]:
     return param_table({name: table[name] for name in ("servo_kp", "servo_kd") if name in table}, GAINS_TABLE)
 
 
-def write_overlay(path: Path, robot: RobotDescription, params: ParamsFile) -> Path:
+def write_robot_params(path: Path, robot: RobotDescription, params: ParamsFile) -> Path:
     """Write a file of parameters, whole or not at all, with its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     return write_params(path, robot, params.params, params.tables, params.names)

@@ -12,7 +12,7 @@ import torch
 
 from surefoot.errors import SurefootError, choices, quote
 
-_MOMENTS = ("exp_avg", "exp_avg_sq")
+_ADAM_MOMENTS = ("exp_avg", "exp_avg_sq")
 """What Adam keeps of each parameter, in its shape."""
 
 
@@ -91,7 +91,7 @@ def check_optimizer(state: Any, parameters: list[torch.nn.Parameter], where: str
         if number not in range(len(parameters)):
             raise SurefootError(f"{where} has a parameter {quote(number)}; there are {len(parameters)}")
         _check_type(moments, dict, f"{where}.{number}", "a table")
-        template = dict.fromkeys(_MOMENTS, parameters[number].detach()) | {"step": torch.zeros(())}
+        template = dict.fromkeys(_ADAM_MOMENTS, parameters[number].detach()) | {"step": torch.zeros(())}
         check_like(moments, template, f"{where}.{number}")
     check_finite(state, where)
 

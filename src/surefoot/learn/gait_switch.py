@@ -40,7 +40,7 @@ class GaitSwitchArchitecture:
 
     setting = "reference.over_holes"
 
-    def serves(self, task: TaskConfig) -> bool:
+    def applies_to(self, task: TaskConfig) -> bool:
         """Return whether the reference has a gait over holes."""
         return task.reference.over_holes is not None
 

@@ -18,7 +18,7 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.gait_switch import GaitSwitchArchitecture
 from surefoot.learn.symmetry import MirrorAugmentation
-from surefoot.robot.mirror import is_mirrored
+from surefoot.robot.mirror import is_symmetric
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 
@@ -32,7 +32,7 @@ class Architecture(Protocol):
     setting: str
     """Setting of a task that requires it, for messages."""
 
-    def serves(self, task: TaskConfig) -> bool:
+    def applies_to(self, task: TaskConfig) -> bool:
         """Return whether a task's policy has it."""
 
     def build(self, actor: MLPModel, columns: Sequence[str], make_mlp: Callable[[], nn.Module]) -> None:
@@ -59,7 +59,7 @@ ARCHITECTURES: tuple[Architecture, ...] = (GaitSwitchArchitecture(),)
 
 def find_architecture(task: TaskConfig) -> Architecture | None:
     """Return the architecture of a task's policy network; None for a single MLP."""
-    return next((one for one in ARCHITECTURES if one.serves(task)), None)
+    return next((one for one in ARCHITECTURES if one.applies_to(task)), None)
 
 
 def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorDict) -> PPO:
@@ -108,7 +108,7 @@ def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorD
         schedule=ppo.schedule,
         desired_kl=ppo.desired_kl,
     )
-    if ppo.symmetry and is_mirrored(env.robot):
+    if ppo.symmetry and is_symmetric(env.robot):
         algorithm.symmetry = MirrorAugmentation(env)
     algorithm.train_mode()
     return algorithm

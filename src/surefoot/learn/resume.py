@@ -14,12 +14,12 @@ from surefoot.learn.checkpoint_state import check_count, check_finite, check_lik
 from surefoot.learn.evaluation import TrainingEvaluation
 from surefoot.learn.ppo_learner import PpoLearner
 
-_STRANGE = (SurefootError, LookupError, TypeError, ValueError, AttributeError, RuntimeError, ArithmeticError)
+_STATE_ERRORS = (SurefootError, LookupError, TypeError, ValueError, AttributeError, RuntimeError, ArithmeticError)
 """What loaders and simulations raise at states that surefoot did not write."""
 
 
 @contextmanager
-def refuse_strange_states(before: str, after: str = "", own: bool = True) -> Iterator[None]:
+def describe_state_errors(before: str, after: str = "", own: bool = True) -> Iterator[None]:
     """Turn what loaders and simulations raise inside into one line.
 
     Args:
@@ -32,7 +32,7 @@ def refuse_strange_states(before: str, after: str = "", own: bool = True) -> Ite
     """
     try:
         yield
-    except _STRANGE as error:
+    except _STATE_ERRORS as error:
         if isinstance(error, SurefootError) and not own:
             raise
         raise SurefootError(f"{before}: {_one_line(error)}{after}") from error

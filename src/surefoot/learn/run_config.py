@@ -28,7 +28,7 @@ def write_run_config(config: TrainConfig, folder: Path) -> None:
         SurefootError: a robot that can't be copied.
     """
     task, robot = config.task, RobotDescription.load(config.task.robot)
-    if not robot.ships:
+    if not robot.is_builtin:
         copy_robot(robot.folder, folder / ROBOT)
         task = replace(task, robot=ROBOT)
     if isinstance(task.reference, TableReferenceConfig) and (file := task.reference.file) is not None:

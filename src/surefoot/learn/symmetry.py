@@ -17,12 +17,12 @@ from tensordict import TensorDict
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
-from surefoot.robot.mirror import MIRRORED, is_mirrored, side_difference
+from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, is_symmetric, side_difference
 from surefoot.task.commands import CommandState
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
 
-_FLIPPED = (
+_SIGN_FLIPPED_COLUMNS = (
     *("roll", "roll_rate", "yaw", "yaw_rate", "velocity_y", "gravity_y", "push_y", "imu_bias.roll"),
     *("command_sideways", "command_yaw_rate", "heading_error", "foothold_y"),
 )
@@ -61,7 +61,7 @@ def mirror_columns(
     columns: Sequence[str],
     half_period: bool = False,
     motors: Mapping[str, tuple[str, float]] | None = None,
-    more_flipped: Sequence[str] = (),
+    extra_flipped: Sequence[str] = (),
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
     """Return each column's source column in the mirror image, and its sign; (C,) each.
 
@@ -88,7 +88,7 @@ def mirror_columns(
             f"symmetry: column {error} has no counterpart; legs must be called left and right, or --ppo.no-symmetry "
             "learns without mirrored samples"
         ) from None
-    flipped = {*_FLIPPED, *more_flipped, *(_PHASE if half_period else ())}
+    flipped = {*_SIGN_FLIPPED_COLUMNS, *extra_flipped, *(_PHASE if half_period else ())}
     sign = [-1.0 if flipped & {name, name.partition(".")[0]} else 1.0 for name in columns]
     for place, name in enumerate(columns):
         prefix, _, motor = name.partition(".")
@@ -99,20 +99,20 @@ def mirror_columns(
 
 def mirror_note(robot: RobotDescription) -> str | None:
     """Return why a robot does not learn from mirrored samples, in one line; None where it may."""
-    if is_mirrored(robot):
+    if is_symmetric(robot):
         return None
     difference = side_difference(robot)
-    most = 1e3 * MIRRORED * robot.leg_geometry.length
+    most = 1e3 * MAX_SIDE_DIFFERENCE * robot.leg_geometry.length
     return (
         f"{difference.text}: no mirrored samples are learned from (up to {most:.2g} mm they are); if the robot is not "
         "built so, correct its URDF; with --ppo.no-symmetry there is no such note"
     )
 
 
-def reference_shift(env: LocomotionEnv) -> bool:
+def is_half_period_shifted(env: LocomotionEnv) -> bool:
     """Return whether the mirrored reference gait is the reference half a period later (else its own mirror image).
 
-    Legs whose lengths differ, within `MIRRORED`, may differ in leg space by some of that.
+    Legs whose lengths differ, within `MAX_SIDE_DIFFERENCE`, may differ in leg space by some of that.
 
     Raises:
         SurefootError: it is neither.
@@ -149,7 +149,7 @@ class MirrorSamples:
     """
 
     def __init__(self, env: LocomotionEnv) -> None:
-        half_period = reference_shift(env)
+        half_period = is_half_period_shifted(env)
         columns = {
             "policy": (env.observer.columns, env.task.history),
             "privileged": (env.privileged_columns, 1),

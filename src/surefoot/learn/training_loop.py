@@ -14,7 +14,7 @@ from surefoot.learn.config import LoggerName, TrainConfig
 from surefoot.learn.evaluation import TrainingEvaluation, evaluate_policy
 from surefoot.learn.log_writer import close_writer, open_writer, write_scalars
 from surefoot.learn.ppo_learner import PpoLearner
-from surefoot.learn.resume import read_progress, refuse_strange_states
+from surefoot.learn.resume import read_progress, describe_state_errors
 from surefoot.learn.rollout_statistics import UpdateMetrics
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
 from surefoot.learn.transfer import warm_start
@@ -56,7 +56,7 @@ class TrainingLoop:
         """
         learner = PpoLearner(config, make_world)
         if config.start_from is not None:
-            with refuse_strange_states(f"start_from {config.start_from}: no training can start from it", own=False):
+            with describe_state_errors(f"start_from {config.start_from}: no training can start from it", own=False):
                 warm_start(learner, Path(config.start_from), make_world)
         return cls(learner, folder, make_world, open_writer(logger, folder.path, config, None))
 
@@ -71,9 +71,9 @@ class TrainingLoop:
         """
         learner, state = PpoLearner(config, make_world), folder.load()
         hint = "; restore the file with which the run was started"
-        with refuse_strange_states(f"{folder.latest}: does not fit the run's config.yaml", hint):
+        with describe_state_errors(f"{folder.latest}: does not fit the run's config.yaml", hint):
             learner.set_state(state["learner"])
-        with refuse_strange_states(str(folder.latest), "; no run can be resumed from it"):
+        with describe_state_errors(str(folder.latest), "; no run can be resumed from it"):
             best, actor, seconds = read_progress(state, learner)
         folder.drop_rows_after(learner.steps)
         loop = cls(learner, folder, make_world, open_writer(logger, folder.path, config, learner.steps))
@@ -130,7 +130,7 @@ class TrainingLoop:
         """Do one update, the evaluation and the checkpoint that are due then, and log; returns the first two."""
         start = time.perf_counter()
         # The first update after a checkpoint shows whether its numbers make sense.
-        untried = refuse_strange_states(f"{self.folder.latest}: no training can go on from it")
+        untried = describe_state_errors(f"{self.folder.latest}: no training can go on from it")
         with untried if self._is_untried else nullcontext():
             figures = self.learner.update()
         self._is_untried = False

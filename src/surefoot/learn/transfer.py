@@ -18,7 +18,7 @@ from surefoot.learn.networks import find_architecture, load_parameters
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.learn.run_folder import RunFolder
 from surefoot.task.env import LocomotionEnv, SimulationFactory
-from surefoot.task.height_scan import AROUND, MAP
+from surefoot.task.height_scan import CRITIC_GRID, POLICY_GRID
 
 NETWORK_FIELDS = (
     "observations",  # what the policy observes
@@ -76,7 +76,7 @@ def warm_start(learner: PpoLearner, path: Path, make_world: SimulationFactory) -
             )
     networks = dict(state["learner"]["algorithm"])
     critic = Network(networks["critic_state_dict"], old["critic"])
-    networks["actor_state_dict"] = _take_actor(state, fresh["actor_state_dict"], other, env)
+    networks["actor_state_dict"] = _convert_actor(state, fresh["actor_state_dict"], other, env)
     for part in ("actor", "critic"):
         key = f"{part}_state_dict"
         networks[key] = move_inputs(Network(networks[key], old[part]), Network(fresh[key], new[part]), critic)
@@ -95,7 +95,7 @@ def network_inputs(env: LocomotionEnv, privileged_critic: bool) -> dict[str, lis
     return {"actor": policy, "critic": policy + privileged}
 
 
-def _take_actor(state: Mapping[str, Any], fresh: Parameters, other: LocomotionEnv, env: LocomotionEnv) -> Parameters:
+def _convert_actor(state: Mapping[str, Any], fresh: Parameters, other: LocomotionEnv, env: LocomotionEnv) -> Parameters:
     """Return the policy of another run's state in this run's architecture and bounds, with the inputs as they were."""
     architecture, former = find_architecture(env.task), find_architecture(other.task)
     if former not in (architecture, None):
@@ -171,6 +171,6 @@ def _normalized_inputs(fresh: Network, critic: Network) -> dict[int, int]:
     """Return the places of a network's inputs that a critic normalizes, and their places among the critic's inputs."""
     if critic.parameters["mlp.0.weight"].shape[1] != len(critic.inputs):
         return {}
-    known, near = {name: k for k, (_, name) in enumerate(critic.inputs)}, MAP.nearest(AROUND)
+    known, near = {name: k for k, (_, name) in enumerate(critic.inputs)}, POLICY_GRID.nearest(CRITIC_GRID)
     alike = {k: name if name in known else near.get(name, name) for k, (_, name) in enumerate(fresh.inputs)}
     return {k: known[name] for k, name in alike.items() if name in known}

@@ -30,18 +30,18 @@ MEMORY_RANGE = 1e6
 
 
 @dataclass(frozen=True)
-class Stated:
+class ContractField:
     """Mark of a task's field that is the policy's interface: the contract states it itself, or some keys of it."""
 
     keys: tuple[str, ...] = ()
     """Keys of the table that are stated; none: the whole field is."""
 
 
-def stated_fields(kind: type) -> set[str]:
-    """Return the dotted names of a dataclass's fields, and of keys in them, that are marked as `Stated`."""
+def contract_fields(kind: type) -> set[str]:
+    """Return the dotted names of a dataclass's fields, and of keys in them, that are marked as `ContractField`."""
     hints = typing.get_type_hints(kind, include_extras=True)
     marks = [(name, mark) for name, hint in hints.items() for mark in getattr(hint, "__metadata__", ())]
-    stated = [(name, mark.keys) for name, mark in marks if isinstance(mark, Stated)]
+    stated = [(name, mark.keys) for name, mark in marks if isinstance(mark, ContractField)]
     return {part for name, keys in stated for part in ([f"{name}.{key}" for key in keys] or [name])}
 
 
@@ -60,16 +60,16 @@ class ObservationPart:
     frame: str
 
 
-Place = Annotated[float, Within(-10, 10)]
+GridCoordinate = Annotated[float, Within(-10, 10)]
 
 
 @dataclass(frozen=True)
 class HeightMap:
     """The grid of the map of heights, in the heading frame at the base's origin: x forward, y left, z up."""
 
-    ahead: tuple[Place, ...]
+    ahead: tuple[GridCoordinate, ...]
     """Places of its points ahead [m], rising."""
-    left: tuple[Place, ...]
+    left: tuple[GridCoordinate, ...]
     """Places of its points to the left [m], rising. Heights have an order: by `ahead`, then by `left`."""
     age: Latency
     """Nominal age of the heights in training [s]."""

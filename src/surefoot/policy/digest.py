@@ -24,14 +24,14 @@ from dataclasses import dataclass
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.network import MAX_BYTES, OPSET
-from surefoot.policy.protobuf import BYTES, MANY, NUMBER, encode_field, read_message
+from surefoot.policy.protobuf import BYTES, BYTES_LIST, NUMBER, encode_field, read_message
 
 DIGEST_KEY = "surefoot-digest"
 """Property of the ONNX file that holds the digest, in hexadecimal."""
 ROBOT_KEY = "surefoot-robot"
 """Property that holds the archive of a robot that does not ship, in base64."""
 _GRAPH, _OPSET, _PROPERTIES, _KEY, _VALUE = 7, 8, 14, 1, 2
-_MODEL = {1: NUMBER, 2: BYTES, 3: BYTES, _GRAPH: BYTES, _OPSET: BYTES, _PROPERTIES: MANY}
+_MODEL = {1: NUMBER, 2: BYTES, 3: BYTES, _GRAPH: BYTES, _OPSET: BYTES, _PROPERTIES: BYTES_LIST}
 """Fields of a model: version of the format, its producer, and these."""
 
 
@@ -44,7 +44,7 @@ class PolicyParts:
     contract: bytes
     robot: bytes
     """Archive of the robot in base64; empty, if the robot ships."""
-    stated_digest: bytes | None
+    stored_digest: bytes | None
 
     @property
     def digest(self) -> str:
@@ -100,9 +100,9 @@ def check_digest(data: bytes) -> PolicyParts:
         SurefootError: the digest is missing or another one, or as of `read_parts`.
     """
     parts = read_parts(data)
-    if parts.stated_digest is None:
+    if parts.stored_digest is None:
         raise SurefootError("has no digest; surefoot runs only policies that it exported")
-    if parts.stated_digest != parts.digest.encode():
+    if parts.stored_digest != parts.digest.encode():
         raise SurefootError(
             "its digest does not match: the network or the contract was changed after the export, so that the contract "
             "may no longer say what the network does; export the policy again"

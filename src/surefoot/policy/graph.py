@@ -16,7 +16,7 @@ from surefoot.policy.digest import ROBOT_KEY
 from surefoot.policy.network import INPUT, OPSET, OUTPUT
 
 IR_VERSION = 8
-LARGEST = float(np.finfo(np.float32).max)
+MAX_FLOAT = float(np.finfo(np.float32).max)
 
 
 class Value(NamedTuple):
@@ -93,7 +93,7 @@ class Graph:
 
     def clip(self, value: str, low: float, high: float) -> str:
         """Clip to numbers that may be infinite."""
-        bounds = (self.constant(float(np.clip(bound, -LARGEST, LARGEST))) for bound in (low, high))
+        bounds = (self.constant(float(np.clip(bound, -MAX_FLOAT, MAX_FLOAT))) for bound in (low, high))
         return self.apply("Clip", value, *bounds)
 
     def to_onnx(

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from surefoot.errors import SurefootError, choices
-from surefoot.policy.protobuf import BYTES, MANY, NUMBER, NUMBERS, read_message
+from surefoot.policy.protobuf import BYTES, BYTES_LIST, NUMBER, NUMBERS, read_message
 
 OPSET = 17
 """Version of the operators' definitions that surefoot writes and reads."""
@@ -30,8 +30,8 @@ MAX_WIDTH = 16384
 """Rows or columns of a constant."""
 _CONSTANT_OPERANDS = ("Gemm", "LayerNormalization")
 """Operators that take constants besides their first input."""
-_GRAPH = {1: MANY, 2: BYTES, 5: MANY, 11: MANY, 12: MANY}
-_NODE = {1: MANY, 2: MANY, 3: BYTES, 4: BYTES, 5: MANY}
+_GRAPH = {1: BYTES_LIST, 2: BYTES, 5: BYTES_LIST, 11: BYTES_LIST, 12: BYTES_LIST}
+_NODE = {1: BYTES_LIST, 2: BYTES_LIST, 3: BYTES, 4: BYTES, 5: BYTES_LIST}
 _ATTRIBUTE = {1: BYTES, 3: NUMBER, 20: NUMBER}
 _TENSOR = {1: NUMBERS, 2: NUMBER, 8: BYTES, 9: BYTES}
 _FLOAT = 1

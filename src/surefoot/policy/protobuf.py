@@ -12,7 +12,7 @@ from typing import Any
 from surefoot.errors import SurefootError
 
 VARINT, LENGTH = 0, 2
-NUMBER, NUMBERS, BYTES, MANY = (VARINT, False), (VARINT, True), (LENGTH, False), (LENGTH, True)
+NUMBER, NUMBERS, BYTES, BYTES_LIST = (VARINT, False), (VARINT, True), (LENGTH, False), (LENGTH, True)
 """Kinds of fields: an integer, several, one run of bytes (text or a message), several."""
 MAX_REPETITIONS = 1024
 """How often a repeated field stands in a message at most."""

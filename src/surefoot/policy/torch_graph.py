@@ -22,8 +22,8 @@ ALLOWED = (
 ROWS = 3
 """Rows of the observations that a module is traced with."""
 _SELU = (1.6732632423543772, 1.0507009873554805)
-_SHAPES = ("view", "_unsafe_view", "reshape", "squeeze", "unsqueeze", "expand", "slice", "select")
-_SAME = ("detach", "alias", "clone", "contiguous", "_to_copy", "lift_fresh_copy")
+_RESHAPE_OPERATORS = ("view", "_unsafe_view", "reshape", "squeeze", "unsqueeze", "expand", "slice", "select")
+_IDENTITY_OPERATORS = ("detach", "alias", "clone", "contiguous", "_to_copy", "lift_fresh_copy")
 
 
 def trace_module(module: nn.Module, graph: Graph, observation: str, width: int, outputs: int) -> Value:
@@ -102,7 +102,7 @@ def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
     shape = getattr(node.meta.get("val"), "shape", None)
     source = node.args[0]
     before = getattr(source.meta.get("val"), "shape", None) if isinstance(source, fx.Node) else None
-    if name in _SAME or (name in _SHAPES and _rows(shape) == _rows(before)):
+    if name in _IDENTITY_OPERATORS or (name in _RESHAPE_OPERATORS and _rows(shape) == _rows(before)):
         return args[0]
     try:
         result = _OPERATORS[name](graph, *args, **kwargs)
@@ -179,24 +179,24 @@ def _clamp(graph: Graph, value: Value, low: float | None = None, high: float | N
     return graph.clip(value.name, -math.inf if low is None else low, math.inf if high is None else high)
 
 
-def _check_last(dim: int | list[int]) -> None:
+def _require_columns(dim: int | list[int]) -> None:
     """Refuse what does not act on the columns."""
     if (dim[0] if isinstance(dim, list) and len(dim) == 1 else dim) not in (1, -1):
         raise NotImplementedError
 
 
 def _slice(graph: Graph, value: Value, dim: int = 0, start: Any = None, end: Any = None, step: int = 1) -> Value:
-    _check_last(dim)
+    _require_columns(dim)
     return graph.select(value, range(value.width)[start:end:step])
 
 
 def _split(graph: Graph, value: Value, size: int, dim: int = 0) -> list[Value]:
-    _check_last(dim)
+    _require_columns(dim)
     starts = range(0, value.width, size)
     return [graph.select(value, range(start, min(start + size, value.width))) for start in starts]
 
 
-def _single(graph: Graph, values: Any, dim: int = 0) -> Any:
+def _single_element(graph: Graph, values: Any, dim: int = 0) -> Any:
     """Return what is in a stack of one, or a stack of it."""
     if dim != 0 or (isinstance(values, list) and len(values) != 1):
         raise NotImplementedError
@@ -211,14 +211,14 @@ def _source(graph: Graph, value: Any, source: Value, dim: int = 0, start: Any = 
 
 
 def _cat(graph: Graph, values: list[Any], dim: int = 0) -> Value:
-    _check_last(dim)
+    _require_columns(dim)
     if not all(isinstance(value, Value) for value in values):
         raise NotImplementedError
     return graph.join(values)
 
 
 def _norm(graph: Graph, value: Value, order: float | None = 2, dim: Any = None, keep: bool = False) -> Value:
-    _check_last(dim)
+    _require_columns(dim)
     if order not in (None, 2) or not keep:
         raise NotImplementedError
     return graph.norm(value)
@@ -271,7 +271,7 @@ _OPERATORS: dict[str, Callable[..., str | Value | list[Value]]] = {
     "slice": _slice,
     "cat": _cat,
     **dict.fromkeys(("split", "unsafe_split"), _split),
-    **dict.fromkeys(("stack", "unbind"), _single),
+    **dict.fromkeys(("stack", "unbind"), _single_element),
     **dict.fromkeys(("copy", "slice_scatter"), _source),
     "norm": _norm,
     "linalg_vector_norm": _norm,

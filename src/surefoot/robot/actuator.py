@@ -16,7 +16,7 @@ _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
 """One number for all motors, one for each motor of a leg, or one for each motor."""
 
 
-PLACEHOLDER_TORQUE = 5.0
+MIN_PLACEHOLDER_TORQUE = 5.0
 """A torque limit over this many m g l is a placeholder: no motor lifts the robot by five legs' lengths."""
 HEAT_LOSS = 0.5
 """Heat of a joint actuator at its full torque, over torque times the speed up to which it has it; assumed."""

@@ -22,7 +22,7 @@ from surefoot.npz import pop_meta, read_npz, write_npz
 from surefoot.robot.sheet import Leg
 from surefoot.robot.urdf import Shape, Urdf
 
-LOOKS = "looks.npz"
+VISUALS_FILE = "looks.npz"
 """Name of the file that `robot new` writes."""
 MAX_BYTES = 1 << 21
 """Size of the largest file that is read; unpacked, eight times that."""
@@ -31,10 +31,10 @@ MAX_TRIANGLES = 200_000
 """Largest count of triangles that is read."""
 MAX_EXTENT = 1e3
 """How far a vertex may be from its link's origin [m]."""
-_STEPS = 65535
-_SEGMENTS = 20
+_COORDINATE_STEPS = 65535
+_CIRCLE_SIDES = 20
 """Sides of a circle."""
-_HIP = 0.35
+_HIP_RADIUS_RATIO = 0.35
 """Radius of a hip that is drawn, over its length."""
 _ARRAYS = {"counts": ("u4", 2), "color": ("u1", 3), "low": ("f4", 3), "span": ("f4", 3)}
 _POINT_ARRAYS = {"vertices": ("u2", 3), "faces": ("u4", 3)}
@@ -84,9 +84,9 @@ class Appearance:
         """Write the file; vertices are rounded to 65535ths of the box around their part."""
         low = np.array([part.vertices.min(axis=0) for part in self.parts], np.float32)
         span = np.array([np.ptp(part.vertices, axis=0) for part in self.parts], np.float32)
-        scale = _STEPS / np.maximum(span, 1e-9)
+        scale = _COORDINATE_STEPS / np.maximum(span, 1e-9)
         vertices = [
-            np.rint(scale[k] * (part.vertices - low[k])).clip(0, _STEPS).astype(np.uint16)
+            np.rint(scale[k] * (part.vertices - low[k])).clip(0, _COORDINATE_STEPS).astype(np.uint16)
             for k, part in enumerate(self.parts)
         ]
         arrays = {
@@ -108,7 +108,7 @@ def visual_shapes(urdf: Urdf, legs: Sequence[Leg]) -> list[Shape]:
     shapes = [shape for link in urdf.links.values() for shape in link.visuals]
     if not shapes:
         raise SurefootError(f"{urdf.path}: has nothing to draw; a link's <visual> must be a box, cylinder or sphere")
-    return shapes + _hips(urdf, legs, {shape.link for shape in shapes})
+    return shapes + _hip_cylinders(urdf, legs, {shape.link for shape in shapes})
 
 
 def solid(kind: str, size: tuple[float, ...]) -> tuple[Array, list[tuple[int, ...]]]:
@@ -117,7 +117,7 @@ def solid(kind: str, size: tuple[float, ...]) -> tuple[Array, list[tuple[int, ..
     Kinds and sizes are those of a `Shape`.
     """
     # Rings above each other, each with a scale and a height: two for a box and a cylinder, a stack for a sphere.
-    angle = 2 * np.pi * np.arange(_SEGMENTS) / _SEGMENTS
+    angle = 2 * np.pi * np.arange(_CIRCLE_SIDES) / _CIRCLE_SIDES
     ring = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     if kind == "box":
         ring = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) * np.array(size[:2])
@@ -125,7 +125,7 @@ def solid(kind: str, size: tuple[float, ...]) -> tuple[Array, list[tuple[int, ..
     elif kind == "cylinder":
         levels = [(size[0], -size[1]), (size[0], size[1])]
     else:
-        tilt = np.linspace(-0.44, 0.44, _SEGMENTS // 2 - 2) * np.pi
+        tilt = np.linspace(-0.44, 0.44, _CIRCLE_SIDES // 2 - 2) * np.pi
         levels = [(size[0] * np.cos(t), size[0] * np.sin(t)) for t in tilt]
     points, count = np.array([(scale * x, scale * y, z) for scale, z in levels for x, y in ring]), len(ring)
     below, top = range(0, len(points) - count, count), range(len(points) - count, len(points))
@@ -150,7 +150,7 @@ def shape_part(shape: Shape) -> VisualPart:
     )
 
 
-def _hips(urdf: Urdf, legs: Sequence[Leg], drawn: set[str]) -> list[Shape]:
+def _hip_cylinders(urdf: Urdf, legs: Sequence[Leg], drawn: set[str]) -> list[Shape]:
     """Return a cylinder along the hip's axis for each link between abduction and hip that is not `drawn`."""
     shapes = []
     for leg in legs:
@@ -162,7 +162,7 @@ def _hips(urdf: Urdf, legs: Sequence[Leg], drawn: set[str]) -> list[Shape]:
             side /= np.linalg.norm(side)
             frame = np.eye(4)
             frame[:3] = np.column_stack([side, np.cross(along, side), along, hip.frame[:3, 3] / 2])
-            shapes.append(Shape(hip.parent, "cylinder", (_HIP * length, length / 2), frame))
+            shapes.append(Shape(hip.parent, "cylinder", (_HIP_RADIUS_RATIO * length, length / 2), frame))
     return shapes
 
 
@@ -187,6 +187,6 @@ def _read_parts(links: list[str], arrays: dict[str, NDArray[Any]]) -> tuple[Visu
         if faces[k].max() >= counts[k, 0]:
             raise SurefootError(f"part {k} has a triangle of vertices that it does not have")
         red, green, blue = (float(value) / 255 for value in arrays["color"][k])
-        places = (low[k] + span[k] * (vertices[k] / _STEPS)).astype(np.float32)
+        places = (low[k] + span[k] * (vertices[k] / _COORDINATE_STEPS)).astype(np.float32)
         parts.append(VisualPart(link, places, faces[k].astype(np.int32), (red, green, blue)))
     return tuple(parts)

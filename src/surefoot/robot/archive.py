@@ -51,7 +51,7 @@ def robot_files(folder: Path) -> dict[str, bytes]:
     own = (path.relative_to(folder).as_posix() for pattern in _OWN for path in folder.glob(pattern))
     files: dict[str, bytes] = {}
     for name in sorted({*named, *filter(_NAME.fullmatch, own)}):
-        path = _inside(folder, name)
+        path = _resolve_inside(folder, name)
         with describe_os_errors(folder / name):
             check_readable(path, MAX_BYTES)
             files[name] = path.read_bytes()
@@ -138,7 +138,7 @@ def copy_robot(folder: Path, target: Path) -> None:
         atomic_write(target / name, content)
 
 
-def _inside(folder: Path, name: str) -> Path:
+def _resolve_inside(folder: Path, name: str) -> Path:
     """Return the path of a folder's file without links; refuse one that is not in the folder."""
     # RuntimeError: a circle of links, before Python 3.13.
     try:

@@ -20,7 +20,7 @@ COMMANDS = {"forward": "m/s", "sideways": "m/s", "yaw_rate": "rad/s"}
 """Names of the commands in order, with units; sideways is positive to the left, the yaw rate about +z."""
 STAND = (0.0, 0.0, 0.0)
 """The command that means stand."""
-_MAX = 1e3
+_MAX_COMMAND = 1e3
 
 
 @dataclass(frozen=True)
@@ -33,18 +33,18 @@ class CommandLimits:
     """Range of speeds to the left [m/s]; (0, 0) for legs without abduction."""
     yaw_rate: tuple[float, float]
     """Range of yaw rates [rad/s]."""
-    acceleration: Annotated[tuple[float, float, float], Within(0.0, _MAX, above=True)]
+    acceleration: Annotated[tuple[float, float, float], Within(0.0, _MAX_COMMAND, above=True)]
     """How fast each command that the gait follows may change [m/s^2, m/s^2, rad/s^2]."""
-    deadband: Annotated[tuple[float, float, float], Within(0.0, _MAX)]
+    deadband: Annotated[tuple[float, float, float], Within(0.0, _MAX_COMMAND)]
     """Commands that are all no greater than this mean stand [m/s, m/s, rad/s]."""
-    heading_gain: Annotated[float, Within(0.0, _MAX)] = 0.0
+    heading_gain: Annotated[float, Within(0.0, _MAX_COMMAND)] = 0.0
     """Yaw rate that is added per heading error [1/s]; 0: the heading is not held."""
 
     def __post_init__(self) -> None:
         """Refuse ranges that are reversed or do not contain zero."""
         for name in COMMANDS:
             low, high = getattr(self, name)
-            if not -_MAX <= low <= 0.0 <= high <= _MAX:
+            if not -_MAX_COMMAND <= low <= 0.0 <= high <= _MAX_COMMAND:
                 raise SurefootError(
                     f"commands.{name} is [{low:g}, {high:g}] {COMMANDS[name]}; it must go from 0 or less to 0 or more"
                 )

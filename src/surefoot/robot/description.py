@@ -35,21 +35,21 @@ from surefoot.robot.sheet import (
     Loop,
     Poses,
     Range,
-    Sheet,
+    DataSheet,
     Timing,
     check_ranges,
 )
 from surefoot.robot.urdf import Urdf
 from surefoot.robot.urdf_file import read_urdf
 
-_HERE = Path(__file__).parent
+_ROBOTS_FOLDER = Path(__file__).parent
 
 DEFAULT_ROBOT = "minitaur"
 """The robot of tasks that name none: the paper's."""
-ANGLE_ROOM = 1.0
+ANGLE_MARGIN = 1.0
 """Range [rad] beyond the angles of leg space that a command may request. Legs of a damped robot on its belly fold
 further than a gait may, and standing up begins at their angles."""
-_VOLTAGE = 24.0
+_DEFAULT_VOLTAGE = 24.0
 """Nominal battery voltage [V] of joint actuators, where the sheet does not say."""
 
 
@@ -89,12 +89,12 @@ class RobotDescription:
     @classmethod
     def available(cls) -> list[str]:
         """Return the names of the robots that ship with surefoot."""
-        return sorted(path.parent.name for path in _HERE.glob("*/robot.toml"))
+        return sorted(path.parent.name for path in _ROBOTS_FOLDER.glob("*/robot.toml"))
 
     @classmethod
     def find_folder(cls, robot: str | Path) -> Path:
         """Return the folder of a robot that ships, by name, or the path itself."""
-        return _HERE / str(robot) if str(robot) in cls.available() else Path(robot)
+        return _ROBOTS_FOLDER / str(robot) if str(robot) in cls.available() else Path(robot)
 
     @classmethod
     def resolve(cls, robot: str, folder: Path) -> str:
@@ -116,7 +116,7 @@ class RobotDescription:
             )
         data, _ = read_toml(sheet_path)
         with prefix_errors(sheet_path):
-            sheet = from_mapping(Sheet, data)
+            sheet = from_mapping(DataSheet, data)
             check_name("name", sheet.name)
             if Path(sheet.urdf).is_absolute() or ".." in Path(sheet.urdf).parts:
                 raise SurefootError(f"urdf is {quote(sheet.urdf)}; it must be a file in the robot's folder")
@@ -125,7 +125,7 @@ class RobotDescription:
             return cls._from_sheet(sheet, urdf, folder)
 
     @classmethod
-    def _from_sheet(cls, sheet: Sheet, urdf: Urdf, folder: Path) -> RobotDescription:
+    def _from_sheet(cls, sheet: DataSheet, urdf: Urdf, folder: Path) -> RobotDescription:
         legs, order = sheet.read_legs(urdf), sheet.motors.order
         sign = np.array(sheet.motors.sign or [1] * len(order), float)
         bounds = {name: item.bounds for name, item in PARAMETERS.items()}
@@ -134,13 +134,13 @@ class RobotDescription:
         check_ranges("allowed", sheet.allowed)
         if sheet.looks is not None and (Path(sheet.looks).name != sheet.looks or sheet.looks in ("", "..")):
             raise SurefootError(f"looks is {quote(sheet.looks)}; it must be the name of a file in the robot's folder")
-        places, axes, feet = _place_joints(urdf, sheet.base, legs)
+        places, axes, feet = _joint_positions(urdf, sheet.base, legs)
         mounts = _mounts(places, feet, bool(sheet.leg_geometry))
         signs = sign[[[order.index(name) for name in leg.motors] for leg in legs]]
-        geometry = sheet.leg_geometry or SerialLegs.from_places(legs, mounts, places, axes, signs, feet)
+        geometry = sheet.leg_geometry or SerialLegs.from_positions(legs, mounts, places, axes, signs, feet)
         space, rest = sheet.complete_leg_space(geometry)
         actuator = read_actuator(sheet.actuator, order, [leg.motors for leg in legs])
-        voltage = actuator.voltage if isinstance(actuator, DcMotorData) else _VOLTAGE
+        voltage = actuator.voltage if isinstance(actuator, DcMotorData) else _DEFAULT_VOLTAGE
         description = cls(
             name=sheet.name,
             folder=folder,
@@ -189,19 +189,19 @@ class RobotDescription:
                 self.check_allowed(name, np.asarray(value), source="nominal ")
 
     @property
-    def ships(self) -> bool:
+    def is_builtin(self) -> bool:
         """Whether it ships with surefoot: its name is enough to load it anywhere."""
-        return self.folder.resolve().parent == _HERE.resolve()
+        return self.folder.resolve().parent == _ROBOTS_FOLDER.resolve()
 
     @property
     def location(self) -> str:
         """What `load` takes to load it again on this machine: the name of a robot that ships, else the folder."""
-        return self.folder.name if self.ships else str(self.folder)
+        return self.folder.name if self.is_builtin else str(self.folder)
 
     @cached_property
     def archive(self) -> bytes:
         """The folder as bytes, for files that carry their robot; empty for a robot that ships."""
-        return b"" if self.ships else pack_robot(self.folder)
+        return b"" if self.is_builtin else pack_robot(self.folder)
 
     @property
     def num_motors(self) -> int:
@@ -258,7 +258,7 @@ class RobotDescription:
     def command_range(self) -> tuple[Array, Array]:
         """Least and greatest motor angles (M,) [rad] that a command may request, of a pose or on the way to one."""
         least, greatest = self.angle_extent(*self.leg_space.values())
-        return least - ANGLE_ROOM, greatest + ANGLE_ROOM
+        return least - ANGLE_MARGIN, greatest + ANGLE_MARGIN
 
     @property
     def motor_limits(self) -> tuple[Array, Array]:
@@ -364,7 +364,7 @@ class RobotDescription:
             raise SurefootError(f"{source}{name} is {bad.flat[0]:g}; {allowed}")
 
 
-def carried_robot(archive: bytes, name: object) -> RobotDescription:
+def load_embedded_robot(archive: bytes, name: object) -> RobotDescription:
     """Return the robot that a file of a run carries, else the one of the name in the file, which must ship.
 
     Raises:
@@ -377,7 +377,7 @@ def carried_robot(archive: bytes, name: object) -> RobotDescription:
     return RobotDescription.load(name)
 
 
-def _place_joints(urdf: Urdf, base: str, legs: Sequence[Leg]) -> tuple[Array, Array, Array]:
+def _joint_positions(urdf: Urdf, base: str, legs: Sequence[Leg]) -> tuple[Array, Array, Array]:
     """Return places (L, m, 3) [m] and axes (L, m, 3) of the legs' motors and places (L, 3) of their feet at zero.
 
     All are in the base's frame.

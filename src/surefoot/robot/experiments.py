@@ -13,14 +13,14 @@ from surefoot.robot.actuator import ActuatorData, DcMotorData
 
 _Duty = Annotated[float, Within(0, 1)]
 
-_EXTENSIONS = {
+_EXTENSION_FRACTIONS = {
     **{"stance": 0.52, "high": 0.67, "low": 0.43, "squat": 0.14, "nod": 0.057, "lift": 0.12},
     **{"shorter": 0.095, "longer": 0.048},
 }
 """Shares of the range of extensions; the first three are above its least."""
-_STEPS = {"sweep": 1.3, "chirp": 0.86, "step": 1.0}
+_COORDINATE_STEPS = {"sweep": 1.3, "chirp": 0.86, "step": 1.0}
 """Shares of the angle error at which a servo commands the continuous torque."""
-_TORQUE = 8 / 7
+_STOP_TORQUE_RATIO = 8 / 7
 """Torque at which an experiment ends, over the continuous torque."""
 
 
@@ -65,7 +65,7 @@ class Experiments:
 def read_experiments(table: Mapping[str, Any], extension: tuple[float, float], motors: ActuatorData) -> Experiments:
     """Return the table of a sheet; its missing entries follow from the range of extensions and the motors."""
     low, high = extension
-    defaults = {name: share * (high - low) for name, share in _EXTENSIONS.items()}
+    defaults = {name: share * (high - low) for name, share in _EXTENSION_FRACTIONS.items()}
     defaults |= {name: low + defaults[name] for name in ("stance", "high", "low")}
     duty = 0.0
     if isinstance(motors, DcMotorData):
@@ -76,6 +76,6 @@ def read_experiments(table: Mapping[str, Any], extension: tuple[float, float], m
     else:
         torque = float(np.min(np.minimum(motors.torque_limit, motors.overheat_torque)))
         angle = torque / float(np.max(motors.kp))
-    defaults |= {name: share * angle for name, share in _STEPS.items()}
-    defaults |= {"duty": 1.3 * duty, "spike": 1.15 * duty, "torque": _TORQUE * torque}
+    defaults |= {name: share * angle for name, share in _COORDINATE_STEPS.items()}
+    defaults |= {"duty": 1.3 * duty, "spike": 1.15 * duty, "torque": _STOP_TORQUE_RATIO * torque}
     return from_mapping(Experiments, defaults | dict(table), "experiments")

@@ -9,7 +9,7 @@ import numpy as np
 from surefoot.robot.description import RobotDescription
 from surefoot.robot.serial_leg import SerialLegs
 
-MIRRORED = 0.005
+MAX_SIDE_DIFFERENCE = 0.005
 """Difference of the sides, over the length of the straight leg, up to which a robot learns from mirrored samples."""
 
 
@@ -45,6 +45,6 @@ def side_difference(robot: RobotDescription) -> SideDifference:
     return worst
 
 
-def is_mirrored(robot: RobotDescription) -> bool:
+def is_symmetric(robot: RobotDescription) -> bool:
     """Return whether the sides are alike enough to learn from mirrored samples."""
-    return side_difference(robot).length <= MIRRORED * robot.leg_geometry.length
+    return side_difference(robot).length <= MAX_SIDE_DIFFERENCE * robot.leg_geometry.length

@@ -27,7 +27,7 @@ class _Robot(Protocol):
     def check_allowed(self, name: str, values: Array) -> None: ...
 
 
-CONTROLLER = ("control_step", "servo_kp", "servo_kd")
+CONTROLLER_PARAMETERS = ("control_step", "servo_kp", "servo_kd")
 """Parameters that a policy sets, not the robot: they stay where another robot's parameters take the place of its own,
 unless these state them."""
 GROUPS = ("body", "motors", "contact", "sensors")

@@ -47,13 +47,13 @@ Ranges = dict[str, ParamRange]
 """Ranges by the names of parameters."""
 
 _TABLES = Path(__file__).parent / "ranges"
-_HIDDEN: Ranges = {
+_HIDDEN_RANGES: Ranges = {
     "torque_constant": RelativeRange(scale=(0.9, 1.1)),
     "resistance": RelativeRange(scale=(0.9, 1.1)),
     "servo_latency": (0.001, 0.005),
 }
 """Ranges of hidden parameters beside those of a table."""
-_FIRST_STREAM_ENDS = "servo_latency"
+_LAST_OF_MAIN_STREAM = "servo_latency"
 """The last parameter that draws from a robot's stream itself; later ones draw from parts far ahead in it."""
 
 
@@ -247,7 +247,7 @@ class Randomizer:
         self.streams = generators(seed, "randomize", nominal.num_envs)
         self.columns: list[str] = []
         """Names of the numbers of `scaled`, in order."""
-        self._parts, numbers = _number_places(nominal)
+        self._parts, numbers = _stream_layout(nominal)
         # K values are drawn: those of all motors and axes of every parameter with a range.
         self._columns: dict[str, slice] = {}
         places, low, high = [np.zeros(0, np.int64)], list[Array](), list[Array]()
@@ -308,7 +308,7 @@ class Randomizer:
         return np.divide(2 * values[:, self._shown] - low - high, width, out=np.zeros(width.shape), where=width != 0)
 
 
-def _number_places(nominal: PhysicalParams) -> tuple[list[slice], dict[tuple[str, bool], NDArray[np.int64]]]:
+def _stream_layout(nominal: PhysicalParams) -> tuple[list[slice], dict[tuple[str, bool], NDArray[np.int64]]]:
     """Return the parts of an episode's numbers in [0, 1), and each parameter's places among them.
 
     The parts are the stream itself, and two far ahead in it: of later parameters, and of parameters that share a
@@ -317,7 +317,7 @@ def _number_places(nominal: PhysicalParams) -> tuple[list[slice], dict[tuple[str
     sizes = {name: getattr(nominal, name)[0].size for name in PARAMETERS}
     own = {name: sizes[name] if declared.independent else 1 for name, declared in PARAMETERS.items()}
     names = list(PARAMETERS)
-    later = names.index(_FIRST_STREAM_ENDS) + 1
+    later = names.index(_LAST_OF_MAIN_STREAM) + 1
     shared = [name for name in names if not PARAMETERS[name].independent]
     parts, places, end = list[slice](), {}, 0
     for part, counts in ((names[:later], own), (names[later:], own), (shared, sizes)):
@@ -343,7 +343,7 @@ def draw_hidden(robot: RobotDescription, ranges: Mapping[str, ParamRange], seed:
     ranges. The control step stays, as it belongs to the control computer.
     """
     nominal = PhysicalParams.nominal(robot)
-    hidden = {name: param_range for name, param_range in _HIDDEN.items() if PARAMETERS[name].belongs_to(robot)}
+    hidden = {name: param_range for name, param_range in _HIDDEN_RANGES.items() if PARAMETERS[name].belongs_to(robot)}
     drawn = {}
     for name, param_range in {**hidden, **ranges}.items():
         if name == "control_step":

@@ -19,11 +19,11 @@ _INERTIA_UNITS = {"kg cm2": 1e4, "kg mm2": 1e6, "g cm2": 1e7, "g mm2": 1e9}
 """Units that CAD programs write, as many of them are a kg m2."""
 _NEAR = 2.5
 """Ratio of a link's inertia to a box's up to which it is the same."""
-_SMALL_PART = 0.05
+_MIN_PART_SIZE = 0.05
 """Size of a part, over the robot's, under which shapes do not show all of it."""
 
 
-def are_moments(moments: NDArray[np.floating[Any]]) -> bool:
+def are_valid_moments(moments: NDArray[np.floating[Any]]) -> bool:
     """Return whether a rigid body can have these principal moments (3,): over 0, none over the sum of the others."""
     return bool(moments.min() > 0 and 2 * moments.max() <= 1.001 * moments.sum())
 
@@ -57,7 +57,7 @@ def describe_gyration(
         return (True, too_large) if radius > robot_size else None
     sides = np.ptp(points, axis=0)
     box = box_moments(mass, sides)
-    large = radius > _MAX_GYRATION * max(float(np.linalg.norm(points, axis=1).max()), _SMALL_PART * robot_size)
+    large = radius > _MAX_GYRATION * max(float(np.linalg.norm(points, axis=1).max()), _MIN_PART_SIZE * robot_size)
     if not large and radius >= _MIN_GYRATION * float(np.sqrt(box.max() / mass)):
         return None
     ratio = float(moments.max() / box.max()) if box.max() > 0 else 0.0
@@ -67,7 +67,7 @@ def describe_gyration(
     return large, f"{text}, and its shapes and joints span {span} m; a box of this size has ({inertia}) kg m2{hint}"
 
 
-def first_of(words: list[str]) -> str:
+def first_with_count(words: list[str]) -> str:
     """Return the first of links' descriptions, and how many more there are."""
     return words[0] + (f"; {len(words) - 1} more links are like this" if words[1:] else "")
 

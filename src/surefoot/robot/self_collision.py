@@ -41,7 +41,7 @@ def collision_pairs(robot: RobotDescription) -> list[tuple[str, str]]:
         beside_base = "base" in both and not feet & set(pair)
         if len(both) == 1 or beside_base or (low > other_high).any() or (other_low > high).any():
             continue
-        pairs[pair] = pairs.get(pair, True) and all(_gap(one, other, at) > 0 for at in frames)
+        pairs[pair] = pairs.get(pair, True) and all(_distance(one, other, at) > 0 for at in frames)
     return [pair for pair, apart in pairs.items() if apart]
 
 
@@ -78,7 +78,7 @@ def _place(points: Array, frames: Array) -> Array:
     return placed
 
 
-def _gap(one: Shape, other: Shape, frames: dict[str, Array]) -> float:
+def _distance(one: Shape, other: Shape, frames: dict[str, Array]) -> float:
     """Return the distance [m] of two shapes on links with these frames; 0 or below, they touch."""
     if one.kind == "box":
         one, other = other, one

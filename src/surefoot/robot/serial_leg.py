@@ -57,7 +57,7 @@ class SerialLegs:
     """Sign of beta: 1 for knees that point forward, -1 for knees that point backward."""
 
     @classmethod
-    def from_places(
+    def from_positions(
         cls, legs: Sequence[Leg], mounts: Array, places: Array, axes: Array, signs: Array, feet: Array
     ) -> SerialLegs:
         """Return the legs of a robot at zero angles, all places and axes in the base's frame.

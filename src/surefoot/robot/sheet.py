@@ -153,7 +153,7 @@ class LegSpace:
 
 
 @dataclass(frozen=True)
-class Sheet:
+class DataSheet:
     """A `robot.toml` as it stands; `legs` has the legs' `order` and a table for each."""
 
     name: str

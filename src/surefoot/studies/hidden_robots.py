@@ -11,7 +11,7 @@ from surefoot.errors import SurefootError, choices, suggest
 from surefoot.files import atomic_write
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.archive import SHEET, copy_robot
-from surefoot.robot.params import CONTROLLER, GROUPS, PARAMETERS
+from surefoot.robot.params import CONTROLLER_PARAMETERS, GROUPS, PARAMETERS
 from surefoot.robot.params_file import ParamsFile, ParamValue, read_params
 from surefoot.robot.randomization import Ranges, check_ranges, draw_hidden
 
@@ -102,7 +102,7 @@ def check_identified(names: tuple[str, ...], where: str) -> None:
         SurefootError: a name is unknown, or the policy's contract sets the parameter.
     """
     for name in names:
-        if name in CONTROLLER:
+        if name in CONTROLLER_PARAMETERS:
             raise SurefootError(
                 f"{where}: {name} belongs to the controller, whose contract states it; it is not taken from a file"
             )
@@ -140,5 +140,5 @@ def select_identified(file: ParamsFile, names: tuple[str, ...]) -> dict[str, Par
     return {
         name: value
         for name, value in file.values.items()
-        if name not in CONTROLLER and (name in names or PARAMETERS[name].group in names)
+        if name not in CONTROLLER_PARAMETERS and (name in names or PARAMETERS[name].group in names)
     }

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from surefoot.evaluation.conditions import data_sheet_task, undisturbed_task
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.params import CONTROLLER
+from surefoot.robot.params import CONTROLLER_PARAMETERS
 from surefoot.robot.params_file import param_values
 from surefoot.studies.evaluations import GAP_SEED, EvaluationKind, EvaluationRun, Result, ResultMetric, Traces
 from surefoot.studies.hidden_robots import HiddenRobots, robot_name
@@ -57,7 +57,7 @@ def robot_kind(robots: HiddenRobots, seeds: Sequence[int], folder: Path) -> Eval
 def robot_task(task: TaskConfig, robots: HiddenRobots, seed: int, folder: Path) -> TaskConfig:
     """Return a policy's task on a hidden robot: the robot's parameters with the policy's control step and gains."""
     robot = RobotDescription.load(task.robot)
-    own = param_values(task.nominal(robot), CONTROLLER)
+    own = param_values(task.nominal(robot), CONTROLLER_PARAMETERS)
     params = {**param_values(robots.params(seed, folder), PhysicalParams.names(robot)), **own}
     return replace(data_sheet_task(task), robot=robots.description(seed, folder), params=params)
 

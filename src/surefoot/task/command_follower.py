@@ -15,7 +15,7 @@ from surefoot.task.commands import MAX_HEADING_ERROR, MAX_STANDING_HEADING_ERROR
 from surefoot.task.component import Privileged, RobotComponent
 from surefoot.task.state import EnvState, RobotState
 
-_START_TIME = 1.5
+_START_DURATION = 1.5
 """Time in which a gait goes from standing to full steps, and back [sqrt(l / g)]."""
 
 
@@ -39,7 +39,7 @@ class CommandFilter:
         self, limits: CommandLimits, natural_time: float, num_envs: int, frequency: Callable[..., Array]
     ) -> None:
         self.limits, self._frequency = limits, frequency
-        self._start_rate = 1.0 / (_START_TIME * natural_time)
+        self._start_rate = 1.0 / (_START_DURATION * natural_time)
         self.filtered_command = np.zeros((num_envs, 3))
         """The given commands, their change limited, (N, 3)."""
         self.correction = np.zeros(num_envs)

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 
-KEPT_UP = (0.7, 1.25)
+SUCCESS_RANGE = (0.7, 1.25)
 """Shares of the commanded way between which a robot has kept up."""
 
 
-def step_ways(command: Array, velocity: Array, duration: Array) -> tuple[Array, Array]:
+def step_distances(command: Array, velocity: Array, duration: Array) -> tuple[Array, Array]:
     """Return the commanded way and how much of it was covered [m], of control steps (T,) or robots (N,).
 
     Steps whose command has no linear speed cover nothing.
@@ -26,7 +26,7 @@ def step_ways(command: Array, velocity: Array, duration: Array) -> tuple[Array, 
     return speed * duration, along * duration
 
 
-def has_kept_up(commanded: Array, covered: Array, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def is_success(commanded: Array, covered: Array, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return whether episodes came `whole` to their ends, without a fall, and covered .7 to 1.25 of their ways [m]."""
-    low, high = (share * commanded for share in KEPT_UP)
+    low, high = (share * commanded for share in SUCCESS_RANGE)
     return np.asarray(whole & (low <= covered) & (covered <= high))

@@ -21,9 +21,9 @@ from surefoot.seeding import generators
 
 Range = tuple[float, float]
 
-_LAST_COMMAND = 2.0
+_LAST_COMMAND_DURATION = 2.0
 """Time for which the last command of a file is followed [s]."""
-_FILE_BYTES = 1_000_000
+_MAX_FILE_SIZE = 1_000_000
 """Size of the largest file of commands that is read."""
 MAX_HEADING_ERROR = 0.5
 """Greatest heading error [rad] that is corrected; beyond it the heading that is held follows the robot."""
@@ -126,7 +126,7 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
     names = ("time", *COMMANDS)
     rule = f"a file of commands is CSV with the columns {', '.join(names)}"
     with describe_os_errors(f"commands {path}"):
-        check_readable(path, _FILE_BYTES)
+        check_readable(path, _MAX_FILE_SIZE)
         text = path.read_text(encoding="utf-8", errors="replace")
     with prefix_errors(f"commands {path}"):
         try:
@@ -145,7 +145,7 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
 
 def schedule_duration(rows: Sequence[Sequence[float]]) -> float:
     """Return how long a run takes that follows rows of time [s] and commands to their end [s]; 0 for none."""
-    return rows[-1][0] + _LAST_COMMAND if rows else 0.0
+    return rows[-1][0] + _LAST_COMMAND_DURATION if rows else 0.0
 
 
 class CommandGenerator:

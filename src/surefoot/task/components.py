@@ -57,7 +57,7 @@ def make_components(setup: Setup) -> list[Component]:
         components.append(EpisodeStarts(terrain.heading, num_envs, seed))
     if not terrain.is_flat:
         components.append(TrueHeights(robot))
-    if task.sees:
+    if task.needs_height_map:
         components.append(HeightScan(HeightScanner(terrain.scan, robot, num_envs, seed)))
     if limits is not None:
         source = setup.source or task.commands.make_generator(limits, num_envs, seed)

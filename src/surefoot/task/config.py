@@ -10,13 +10,13 @@ from typing import Annotated, Any, Literal
 
 from surefoot.configuration import NoOption, Within, check_bounds, from_mapping, keys_of_kind, read_yaml
 from surefoot.errors import SurefootError, check_name, prefix_errors, quote, suggest
-from surefoot.policy.contract import ASSUMED_PARAMS, MAX_MEMORY, Stated
+from surefoot.policy.contract import ASSUMED_PARAMS, MAX_MEMORY, ContractField
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges, check_ranges, resolve_table
 from surefoot.task.commands import CommandConfig
-from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
+from surefoot.task.gait import ActionKind, HybridGait, narrow_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D, OVER_HOLES
 from surefoot.task.pushes import PushConfig
 from surefoot.task.reference_config import REFERENCES, NoReferenceConfig, ReferenceField
@@ -59,26 +59,26 @@ class FeedbackConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Configuration of a task. Fields marked as `Stated` are the policy's interface, which its contract states."""
+    """Configuration of a task. Fields marked as `ContractField` are the policy's interface, which its contract states."""
 
     name: str = "gait"
     """Name of the task; run folders carry it."""
-    robot: Annotated[NoOption[str], Stated()] = DEFAULT_ROBOT
+    robot: Annotated[NoOption[str], ContractField()] = DEFAULT_ROBOT
     """Name of a robot that ships with surefoot, or the path of a robot's folder; in a file from the file's folder."""
-    observations: Annotated[tuple[str, ...], Stated()] = IMU_AND_MOTORS_12D
+    observations: Annotated[tuple[str, ...], ContractField()] = IMU_AND_MOTORS_12D
     """Parts of the observation, in order."""
-    history: Annotated[int, Within(1, 100), Stated()] = 1
+    history: Annotated[int, Within(1, 100), ContractField()] = 1
     """Number of last observations in the policy's input, the newest first."""
-    reference: Annotated[ReferenceField, Stated()] = field(default_factory=NoReferenceConfig)
+    reference: Annotated[ReferenceField, ContractField()] = field(default_factory=NoReferenceConfig)
     """The open loop part of the gait."""
-    feedback: Annotated[FeedbackConfig, Stated()] = field(default_factory=FeedbackConfig)
+    feedback: Annotated[FeedbackConfig, ContractField()] = field(default_factory=FeedbackConfig)
     """Bounds of the policy's part."""
-    action: Annotated[ActionKind, Stated()] = "leg"
+    action: Annotated[ActionKind, ContractField()] = "leg"
     """What the policy's part is added to: the legs' poses in leg space, or the motors' angles. angle: to nothing; it is
     the motors' angles themselves, without a reference."""
-    memory: Annotated[int, Within(0, MAX_MEMORY), Stated()] = 0
+    memory: Annotated[int, Within(0, MAX_MEMORY), ContractField()] = 0
     """Numbers beside the motion that the policy keeps from one control step to the next, by observation `memory`."""
-    rest: Annotated[tuple[float | tuple[float, ...], ...] | None, Stated()] = None
+    rest: Annotated[tuple[float | tuple[float, ...], ...] | None, ContractField()] = None
     """Pose of the legs in leg space in which the robot settles first, each coordinate of all legs or of each; the
     middle of commands if not given."""
     fall_angle: Annotated[float, Within(1e-3, math.pi)] = 0.5
@@ -88,7 +88,7 @@ class TaskConfig:
     from crawling on the belly."""
     max_steps: Annotated[int, Within(1, MAX_STEPS)] = 1000
     """Control steps of an episode."""
-    commands: Annotated[CommandConfig, Stated(_LIMITS)] = field(default_factory=CommandConfig)
+    commands: Annotated[CommandConfig, ContractField(_LIMITS)] = field(default_factory=CommandConfig)
     """Speeds and yaw rates that the robot must follow; none by default: it goes straight on."""
     reward: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=PAPER_REWARD.copy)
     """Weights of reward terms by name (`task.reward.TERMS`); costs have negative weights."""
@@ -103,7 +103,7 @@ class TaskConfig:
     randomize_ramp: Annotated[int, Within(0, 1_000_000)] = 0
     """Curriculum: a robot's first `randomize_ramp` episodes draw from ranges that widen from the nominal value; 0: none
     do."""
-    params: Annotated[NoOption[dict[str, ParamValue]], Stated(ASSUMED_PARAMS)] = field(default_factory=dict)
+    params: Annotated[NoOption[dict[str, ParamValue]], ContractField(ASSUMED_PARAMS)] = field(default_factory=dict)
     """Physical parameters that differ from the robot's description, by name: a number, or one for each motor."""
     params_source: NoOption[dict[str, str]] = field(default_factory=dict)
     """The file that they were read from, if any: its name as `file`, and `sha256`. It is not read again."""
@@ -129,20 +129,20 @@ class TaskConfig:
             )
 
     @property
-    def sees(self) -> bool:
+    def needs_height_map(self) -> bool:
         """Whether a map of the ground's heights is needed: the policy observes it, or footholds are chosen on it."""
         return "height_scan" in self.observations or bool(self.reference.foothold_radius)
 
     def gait(self, robot: RobotDescription) -> HybridGait:
         """Return the gait: reference and bounds of the feedback, which the robot must allow.
 
-        Beside a `relative` reference, which serves any robot, bounds are narrowed: see `narrowed_bounds`.
+        Beside a `relative` reference, which serves any robot, bounds are narrowed: see `narrow_bounds`.
         """
         reference = self.reference.make(robot, self.commands.limits(robot), self.nominal(robot))
         names = {"leg": robot.coordinates, "joint": ("joint",), "angle": ()}[self.action]
         bounds = self.feedback.bounds(names)
         if self.reference.relative and self.action == "leg":
-            bounds = narrowed_bounds(bounds, reference, robot)
+            bounds = narrow_bounds(bounds, reference, robot)
         return HybridGait(robot, reference, *bounds, action=self.action, memory=self.memory)
 
     def return_meta(self, robot: RobotDescription) -> dict[str, float | None]:
@@ -226,13 +226,13 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     below, reference = _with_base(read_yaml(files[base]), files[base]), data.get("reference")
     if isinstance(reference, dict) and "kind" in reference:
         below["reference"] = keys_of_kind(REFERENCES, below.get("reference", {}), reference["kind"])
-    return _merge(below, data)
+    return _merge_tables(below, data)
 
 
-def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+def _merge_tables(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     """Return a table with what another one changes or adds, at every depth."""
     both = {
-        key: _merge(below[key], value)
+        key: _merge_tables(below[key], value)
         for key, value in above.items()
         if isinstance(value, dict) and isinstance(below.get(key), dict)
     }

@@ -20,15 +20,15 @@ from surefoot.task.state import RobotState
 BEHIND = 0.12
 """A foot has met something that is further than this behind its command, in lengths l of the straight leg: a free one
 of soft legs lags by less."""
-_FIRST, _LAST = 0.2, 0.95
+_FIRST, _MAX_SWING_PHASE = 0.2, 0.95
 """Part of the swing in which it is looked at: before, it may still stand, and then it may have landed."""
 _FILTER = 0.2
 """Time constant [sqrt(l / g)] of that distance: commands that differ from step to step are no obstacles."""
-_RISES = 1.7
+_LIFT_RATE = 1.7
 """By how much the lift grows in a time sqrt(l / g), in l."""
-_FALLS = 15.0
+_LIFT_DECAY_TIME = 15.0
 """Time constant [sqrt(l / g)] with which the lift is forgotten, some strides."""
-_SHORTEST = 0.07
+_MIN_STRIDE = 0.07
 """Shortest stride [l] that has a direction in which a foot can meet something."""
 
 
@@ -86,14 +86,14 @@ class ContactReflex(RobotComponent):
         missing = np.nan_to_num(self.commanded - self._feet(measured))  # NaN: a leg that can't close
         now = (missing[..., :2] * stride).sum(axis=-1) / np.maximum(size, 1e-9)
         self.behind += np.minimum(time / _FILTER, 1.0) * (now - self.behind)
-        part = reference.feet.swing_part(state.phase)
-        swings = (part > _FIRST) & (part < _LAST) & (size > _SHORTEST * self._length)
+        part = reference.feet.swing_phase(state.phase)
+        swings = (part > _FIRST) & (part < _MAX_SWING_PHASE) & (size > _MIN_STRIDE * self._length)
         met = swings & (self.behind > BEHIND * self._length)
         if state.over_holes is not None:
             # A foot on its way to a foothold far beside its stride is behind without having met anything.
             met &= state.over_holes[:, None] == 0.0
-        raised = np.minimum(self.lift + _RISES * self._length * time, reference.touch_clearance)
-        self.lift = np.where(met, raised, np.where(part < 0.0, self.lift * np.exp(-time / _FALLS), self.lift))
+        raised = np.minimum(self.lift + _LIFT_RATE * self._length * time, reference.touch_clearance)
+        self.lift = np.where(met, raised, np.where(part < 0.0, self.lift * np.exp(-time / _LIFT_DECAY_TIME), self.lift))
         self.commanded = self._feet(target)
 
     def _feet(self, angles: Array) -> Array:

@@ -22,14 +22,14 @@ from surefoot.policy.contract import (
     HeightMap,
     ObservationPart,
     config_hash,
-    stated_fields,
+    contract_fields,
 )
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.observation import Observer
 from surefoot.task.plugins import used_plugins
 from surefoot.task.policy_plugins import check_plugins, task_without_skipped
@@ -39,7 +39,7 @@ from surefoot.task.terrain import TerrainConfig
 if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
 
-_STATED = stated_fields(TaskConfig)
+_STATED = contract_fields(TaskConfig)
 """Dotted names of the task's fields that the contract states itself."""
 
 
@@ -85,7 +85,7 @@ def contract_from_task(
     return Contract(
         name=name or task.name,
         robot=robot.name,
-        description=robot.location if robot.ships else "",
+        description=robot.location if robot.is_builtin else "",
         motor_names=robot.motor_names,
         motor_signs=tuple(float(sign) for sign in robot.motor_sign),
         leg_names=robot.leg_names,
@@ -102,8 +102,8 @@ def contract_from_task(
         config_hash=whole_hash or config_hash(_without_path(to_mapping(task), robot)),
         figures=dict(figures or {}),
         commands=task.commands.limits(robot),
-        height_map=HeightMap(*MAP.scale(robot), age=scan.delay * float(task.nominal(robot).control_step[0]))
-        if task.sees
+        height_map=HeightMap(*POLICY_GRID.scale(robot), age=scan.delay * float(task.nominal(robot).control_step[0]))
+        if task.needs_height_map
         else None,
         plugins=used_plugins(task.reward, task.observations),
         version=__version__,
@@ -113,7 +113,7 @@ def contract_from_task(
 
 def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, Any]:
     """Return a configuration, of a run or a task, with a robot that does not ship by name: its folder may move."""
-    if robot.ships:
+    if robot.is_builtin:
         return config
     if isinstance(config.get("task"), dict):
         return {**config, "task": _without_path(config["task"], robot)}
@@ -123,7 +123,7 @@ def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, 
 def _task_mapping(task: TaskConfig) -> dict[str, Any]:
     """Return the part of a task that the contract does not state itself."""
     data = to_mapping(task)
-    if task.sees:
+    if task.needs_height_map:
         del data["terrain"]["scan"]["delay"]  # the age of the contract's map
     return _without_stated(data)
 

@@ -12,17 +12,17 @@ from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.foot_paths import FootPaths
 
-_LOADING = 0.15
+_LOAD_TRANSFER_FRACTION = 0.15
 """Fraction of the stance in which a leg takes over its share of the weight, and in which it gives it back."""
 _TURNS = 16
 """Directions in which the reach is searched."""
 _LENGTHS = 50
 """Lengths up to the longest step at which the reach is searched."""
-_ARRIVED = 0.8
+_OFFSET_END_PHASE = 0.8
 """Fraction of the swing after which a foot is beside its stride by as much as it lands: soft legs lag."""
-_RISEN = 0.2
+_LIFT_END_PHASE = 0.2
 """Fraction of the swing in which a foot gets its lift by touch."""
-_LOWERED = 0.25
+_LOWERING_FRACTION = 0.25
 """Fraction of the swing in which it gives that lift back."""
 _ASIDE = 0.5
 """Ratio of the ellipse's axis to the side, in which footholds are, to its axis ahead."""
@@ -59,7 +59,7 @@ class FootKinematics:
                 f"reference.touch_clearance lifts feet by {self.touch_clearance:.3f} m, up to their motors: with "
                 f"clearance it must be less than height, {float(np.min(self.feet.height)):.3f} m"
             )
-        legs, resting = self.robot.leg_geometry, self._resting()
+        legs, resting = self.robot.leg_geometry, self._resting_angles()
         _, aside, below = legs.foot_position(resting).T
         axis = below - legs.foot_in_plane(resting)[:, 1]
         places = np.stack(np.broadcast_arrays(self.feet.offset, aside, axis - self.feet.height), -1)
@@ -67,7 +67,7 @@ class FootKinematics:
         if self.foothold_radius:
             object.__setattr__(self, "_reach", self._find_reach())
 
-    def _resting(self) -> Array:
+    def _resting_angles(self) -> Array:
         """Return the motor angles (L, m) of legs without abduction or swing."""
         pose = np.array(self.robot.rest)
         pose[:-1] = 0.0
@@ -98,10 +98,10 @@ class FootKinematics:
             bump = lifted - self.height_rise * share[:, None] * self.feet.height
         high = np.zeros_like(bump)
         if self.touch_clearance and state.lift is not None:
-            raised = self._raised(state.phase) * state.lift
+            raised = self._lift_profile(state.phase) * state.lift
             bump, high = bump + raised, raised / self.touch_clearance
         if state.lift_off is not None and state.landing is not None:
-            beside = self._beside(state.phase, state.lift_off, state.landing)
+            beside = self._foothold_offset(state.phase, state.lift_off, state.landing)
             # High feet are not in reach of legs far to their side, and near the axis of abduction of none.
             beside[..., 1] *= np.maximum(1.0 - 2.0 * high, 0.0)
             step = step + beside
@@ -110,14 +110,14 @@ class FootKinematics:
         foot = np.concatenate([step, (active * bump)[..., None]], axis=-1) + self.places
         return self.robot.leg_geometry.foot_pose(foot)
 
-    def _raised(self, phase: Array) -> Array:
+    def _lift_profile(self, phase: Array) -> Array:
         """Return the fraction of the lift by touch that feet have (N, L): soon, and to the end of the swing."""
-        part = self.feet.swing_part(phase)
-        return np.asarray(np.clip(np.minimum(part / _RISEN, (1.0 - part) / _LOWERED), 0.0, 1.0))
+        part = self.feet.swing_phase(phase)
+        return np.asarray(np.clip(np.minimum(part / _LIFT_END_PHASE, (1.0 - part) / _LOWERING_FRACTION), 0.0, 1.0))
 
-    def _beside(self, phase: Array, lift_off: Array, landing: Array) -> Array:
+    def _foothold_offset(self, phase: Array, lift_off: Array, landing: Array) -> Array:
         """Return how far feet are beside the places of their strides (N, L, 2) [m]."""
-        part = np.clip(self.feet.swing_part(phase) / _ARRIVED, 0.0, 1.0)[..., None]
+        part = np.clip(self.feet.swing_phase(phase) / _OFFSET_END_PHASE, 0.0, 1.0)[..., None]
         over = np.where(part > 0.0, part**2 * (3.0 - 2.0 * part), 1.0)
         return np.asarray(lift_off + over * (landing - lift_off))
 
@@ -129,7 +129,7 @@ class FootKinematics:
         """Return the fraction of the weight that each leg carries (N, L), the same for all legs in stance."""
         share, duty = self.feet.shares(state.phase), self.feet.duty_factor
         part = np.minimum(share, duty - share) / duty
-        carried = np.clip(part / _LOADING, 0.0, 1.0)
+        carried = np.clip(part / _LOAD_TRANSFER_FRACTION, 0.0, 1.0)
         carried = carried / np.maximum(carried.sum(axis=1, keepdims=True), 0.5)
         active = state.activity[:, None]
         return np.asarray(active * carried + (1.0 - active) / len(self.feet.legs))

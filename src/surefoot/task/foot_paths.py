@@ -17,7 +17,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot.leg import Legs
 
-QUANTITIES = ("stroke", "clearance", "duty_factor", "phase", "height", "offset", "depth")
+PER_LEG_QUANTITIES = ("stroke", "clearance", "duty_factor", "phase", "height", "offset", "depth")
 """Quantities that each leg has of its own."""
 LENGTHS = ("stroke", "clearance", "height", "offset", "depth")
 """Quantities that are lengths."""
@@ -83,7 +83,7 @@ class FootPaths:
         """Return the elapsed fraction of each leg's own cycle (..., N, L), 0 to 1, after cycles (..., N)."""
         return np.asarray((np.asarray(cycle, float)[..., None] - self.phase) % 1.0)
 
-    def swing_part(self, cycle: ArrayLike) -> Array:
+    def swing_phase(self, cycle: ArrayLike) -> Array:
         """Return the elapsed fraction of each leg's swing (..., N, L), 0 to 1, after cycles (..., N).
 
         It is negative in stance.
@@ -119,11 +119,11 @@ class FootPaths:
     def stacked(cls, paths: Sequence[FootPaths]) -> FootPaths:
         """Return the paths of N robots, out of one robot's paths each."""
         first = paths[0]
-        values: dict[str, Any] = {name: np.stack([getattr(one, name) for one in paths]) for name in QUANTITIES}
+        values: dict[str, Any] = {name: np.stack([getattr(one, name) for one in paths]) for name in PER_LEG_QUANTITIES}
         frequency = np.array([[one.frequency] for one in paths], float)
         return cls(first.legs, first.leg, frequency, **values)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the `FootConfig` that makes them again, as JSON values."""
-        values = {name: dict(zip(self.legs, getattr(self, name).tolist(), strict=True)) for name in QUANTITIES}
+        values = {name: dict(zip(self.legs, getattr(self, name).tolist(), strict=True)) for name in PER_LEG_QUANTITIES}
         return {"frequency": float(self.frequency), **values}

@@ -9,13 +9,13 @@ from surefoot.arrays import Array
 from surefoot.rotations import from_heading_frame, quat_matrix
 from surefoot.task.commands import CommandState
 from surefoot.task.component import Component
-from surefoot.task.footholds import CHOSEN, Footholds
+from surefoot.task.footholds import FOOTHOLD_FIXED_PHASE, Footholds
 from surefoot.task.state import EnvState
 from surefoot.world.interface import SimState
 
 MIN_AIRBORNE_STEPS = 4
 """Control steps without contact after which a contact is a landing."""
-MIN_LANDING_PART = 0.7
+MIN_LANDING_PHASE = 0.7
 """Part of the swing after which a contact is one."""
 MIN_STRIDE_FRACTION = 0.5
 """Share of full steps from which feet have footholds."""
@@ -61,9 +61,9 @@ class FootholdError(Component):
 
     def compute(self, truth: SimState) -> Array:
         """Return the foothold error of feet that touched down in this control step (N,), by the truth at its end."""
-        part = self._swing_part(self.share)
+        part = self._swing_phase(self.share)
         touches, awaited = truth.foot_contact > 0, np.isfinite(self.places[..., 0])
-        lands = touches & awaited & (self.airborne >= MIN_AIRBORNE_STEPS) & ((part <= 0.0) | (part > MIN_LANDING_PART))
+        lands = touches & awaited & (self.airborne >= MIN_AIRBORNE_STEPS) & ((part <= 0.0) | (part > MIN_LANDING_PHASE))
         late = ~touches & awaited & (part <= 0.0) & (self.share > MISSED_PHASE)
         robot = self.footholds.reference.robot
         foot = robot.foot_positions(truth.motor_angle)
@@ -77,13 +77,13 @@ class FootholdError(Component):
     def plan(self, truth: SimState, state: CommandState) -> None:
         """Take the footholds that feet have chosen now, with what the gait follows next."""
         share, goes = self.footholds.reference.feet.shares(state.phase), state.activity > MIN_STRIDE_FRACTION
-        chosen = (self._swing_part(share) >= CHOSEN) & (self._swing_part(self.share) < CHOSEN)
+        chosen = (self._swing_phase(share) >= FOOTHOLD_FIXED_PHASE) & (self._swing_phase(self.share) < FOOTHOLD_FIXED_PHASE)
         chosen &= (self.footholds.follows & goes)[:, None]
         places = from_heading_frame(self.footholds.landing_places(state), truth.roll_pitch_yaw[:, 2])
         self.places = np.where(chosen[..., None], truth.base_position_world[:, None, :2] + places, self.places)
         self.share = share
 
-    def _swing_part(self, share: Array) -> Array:
+    def _swing_phase(self, share: Array) -> Array:
         """Return the part of the swing that is over of feet (N, L), less than 0 in stance."""
         duty = self.footholds.reference.feet.duty_factor
         return np.asarray((share - duty) / (1.0 - duty))

@@ -30,7 +30,7 @@ def action_names(robot: RobotDescription, kind: ActionKind, memory: int = 0) -> 
     return [*names, *(f"{MEMORY}.{k}" for k in range(memory))]
 
 
-def narrowed_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotDescription) -> list[Range]:
+def narrow_bounds(bounds: Sequence[Range], reference: Reference, robot: RobotDescription) -> list[Range]:
     """Return bounds of the feedback in leg space, narrowed to what the robot's legs allow beside a reference.
 
     Beside a reference that follows commands with a lead, poses are clipped to the leg space: feedback may be all that

@@ -82,7 +82,7 @@ class HandcraftedGait:
         """
         data, default = to_mapping(self.task), to_mapping(TaskConfig())
         task = {name: value for name, value in data.items() if value != default[name]}
-        if "robot" in task and not RobotDescription.load(self.task.robot).ships:
+        if "robot" in task and not RobotDescription.load(self.task.robot).is_builtin:
             task["robot"] = os.path.relpath(Path(self.task.robot).resolve(), path.resolve().parent)
         task["reference"] = {"kind": "foot", "foot": data["reference"]["foot"]}
         gains = None if self.raibert is None else to_mapping(self.raibert)

@@ -63,16 +63,16 @@ def _places(low: int, high: int, count: int) -> tuple[float, ...]:
     return tuple(k / (4 * count) for k in range(low * count, high * count + 1))
 
 
-MAP = Grid(_places(-3, 6, 2), _places(-3, 3, 2))
+POLICY_GRID = Grid(_places(-3, 6, 2), _places(-3, 3, 2))
 """What a policy sees: fine enough to set a foot beside a gap."""
-AROUND = Grid(_places(-5, 7, 1), _places(-3, 3, 1))
+CRITIC_GRID = Grid(_places(-5, 7, 1), _places(-3, 3, 1))
 """What the value network sees."""
-RANGE = 1.0
+MAX_RELATIVE_HEIGHT = 1.0
 """Limit of the heights of a scan [m], up and down from the base's origin."""
 
 
 def scan_heights(ground: Ground, points: Array, position: Array, yaw: Array) -> Array:
-    """Return heights of the ground less those of the bases' origins (N, K) [m], within `RANGE`.
+    """Return heights of the ground less those of the bases' origins (N, K) [m], within `MAX_RELATIVE_HEIGHT`.
 
     Args:
         ground: what they stand on.
@@ -81,7 +81,7 @@ def scan_heights(ground: Ground, points: Array, position: Array, yaw: Array) -> 
         yaw: of the bases (N,) [rad].
     """
     places = from_heading_frame(points, yaw) + position[:, None, :2]
-    heights: Array = np.clip(ground.height(places) - position[:, None, 2], -RANGE, RANGE)
+    heights: Array = np.clip(ground.height(places) - position[:, None, 2], -MAX_RELATIVE_HEIGHT, MAX_RELATIVE_HEIGHT)
     return heights
 
 
@@ -119,7 +119,7 @@ class HeightScanner:
     """Names of the arrays that change over time."""
 
     def __init__(self, config: ScanConfig, robot: RobotDescription, num_envs: int, seed: int) -> None:
-        self.config, self.points = config, MAP.points(robot)
+        self.config, self.points = config, POLICY_GRID.points(robot)
         self.streams = generators(seed, "height scan", num_envs)
         # The newest scan first.
         self._past = np.zeros((config.delay + 1, num_envs, len(self.points)))

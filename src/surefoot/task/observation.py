@@ -12,7 +12,7 @@ from surefoot.errors import SurefootError, choices, suggest
 from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.state import RobotState
 
 
@@ -107,7 +107,7 @@ PARTS: dict[str, ObservationPart] = {
         "m/s, m/s, rad/s", "heading: x forward, y left", lambda _: [f"command_{name}" for name in COMMANDS], _command
     ),
     "height_scan": ObservationPart(
-        "m", "heading, from the base's origin: x forward, y left, z up", lambda _: MAP.columns(), _heights
+        "m", "heading, from the base's origin: x forward, y left, z up", lambda _: POLICY_GRID.columns(), _heights
     ),
     "footholds": ObservationPart(
         "foothold_radius",

@@ -25,7 +25,7 @@ from surefoot.task.trace import EpisodeTrace, trace_sizes
 
 SUFFIX = ".partial"
 """Behind the whole name of the trace's file."""
-MEASURED = (
+MEASURED_COLUMNS = (
     *("time", "roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity", "motor_torque"),
     *("observation", "feedback", "target", "energy"),
 )
@@ -37,11 +37,11 @@ _VERSION = 2
 def row_layout(names: tuple[str, ...], sizes: Mapping[str, int]) -> RowLayout:
     """Return the layout of rows of a trace's columns; `sizes` are those of `trace_sizes`."""
     columns, one_row = columns_of(EpisodeTrace), {**sizes, "T": 1, "T+1": 1}
-    return RowLayout({name: math.prod(columns[name].sized(one_row)) for name in names})
+    return RowLayout({name: math.prod(columns[name].shape_for(one_row)) for name in names})
 
 
 @dataclass(frozen=True)
-class TraceHead:
+class TraceHeader:
     """What makes a trace of rows of numbers, one a control step."""
 
     layout: RowLayout
@@ -54,9 +54,9 @@ class TraceHead:
     """The trace's."""
 
     @classmethod
-    def of_robot(cls, meta: dict[str, Any], actions: int, commands: bool, robot_archive: bytes) -> TraceHead:
+    def of_robot(cls, meta: dict[str, Any], actions: int, commands: bool, robot_archive: bytes) -> TraceHeader:
         """Return the head of what a robot measures, with commands if it is steered, and its map if it has one."""
-        names = (*MEASURED, *(["command"] if commands else []), *(["height_map"] if meta.get("height_map") else []))
+        names = (*MEASURED_COLUMNS, *(["command"] if commands else []), *(["height_map"] if meta.get("height_map") else []))
         return cls(row_layout(names, trace_sizes(0, (actions,), meta)), meta, robot_archive=robot_archive)
 
     def line(self) -> bytes:
@@ -134,7 +134,7 @@ def recover(path: str | Path) -> EpisodeTrace:
             raise SurefootError("is not one: it is of another kind")
         first = from_mapping(_FirstLine, entries)
         start = {name: np.array(values) for name, values in first.start.items()}
-        head = TraceHead(RowLayout(first.columns), meta, start, robot)
+        head = TraceHeader(RowLayout(first.columns), meta, start, robot)
         width = head.layout.width
         steps = len(body) // (8 * width) if width else 0
         if not steps:
@@ -148,5 +148,5 @@ def _from_version_1(entries: dict[str, Any]) -> dict[str, Any]:
     counts = {
         size: entries[name] for size, name in zip("MLOA", ("motors", "legs", "observations", "actions"), strict=True)
     }
-    row = row_layout((*MEASURED, "command") if entries.get("commands") else MEASURED, counts).widths
+    row = row_layout((*MEASURED_COLUMNS, "command") if entries.get("commands") else MEASURED_COLUMNS, counts).widths
     return {"version": _VERSION, "columns": {"time": row.pop("time"), "robot_time": 1, **row}, "start": {}}

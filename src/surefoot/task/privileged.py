@@ -5,7 +5,7 @@ from __future__ import annotations
 from surefoot.robot import RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.component import Component, Privileged
-from surefoot.task.height_scan import AROUND, scan_heights
+from surefoot.task.height_scan import CRITIC_GRID, scan_heights
 from surefoot.task.observation import gait_phase
 from surefoot.task.state import EnvState, base_height
 
@@ -43,13 +43,13 @@ class TrueHeights(Component):
     """
 
     def __init__(self, robot: RobotDescription) -> None:
-        self._points = AROUND.points(robot)
+        self._points = CRITIC_GRID.points(robot)
 
     def privileged(self, state: EnvState) -> Privileged:
         """Return the heights [m] relative to the base's origin."""
         truth = state.truth
         heights = scan_heights(state.ground, self._points, truth.base_position_world, truth.roll_pitch_yaw[:, 2])
-        return [(AROUND.columns(), heights)]
+        return [(CRITIC_GRID.columns(), heights)]
 
 
 class ReferencePhase(Component):

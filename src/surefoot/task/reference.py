@@ -144,7 +144,7 @@ class FollowingReference(Reference):
         extent = tuple((float(part.min()), float(part.max())) for part in np.moveaxis(poses, -2, 0))
         object.__setattr__(self, "_extent", extent)
         both = self.foothold_radius and self.touch_clearance
-        if both and not np.isfinite(self.pose(0.0, self.choice.beside_extremes())).all():
+        if both and not np.isfinite(self.pose(0.0, self.choice.foothold_extremes())).all():
             raise SurefootError(
                 "reference.foothold_radius and reference.touch_clearance together lead feet out of the legs' "
                 "reach; make one of them less"

@@ -15,9 +15,9 @@ from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import MAX_HEADING_ERROR, CommandState
 from surefoot.task.foot_kinematics import FootKinematics
 
-_PHASES = 48
+_STRIDE_PHASES = 48
 """Phases of a cycle at which strides are checked."""
-_LIFTED_PHASES = 12
+_FOOTHOLD_PHASES = 12
 """Phases at which lifts and footholds are checked too: this is done whenever a robot is made."""
 _TURNS = 8
 """Directions of footholds that are checked."""
@@ -39,7 +39,7 @@ class StrideChoice:
     """Part of a stride for turning, relative to that of a foot that does not slip. Legs without abduction turn a robot
     only as far as they make feet slide."""
 
-    def _on_the_spot(self, command: Array) -> tuple[Array, Array]:
+    def _in_place_strides(self, command: Array) -> tuple[Array, Array]:
         """Return the strides (N, L, 2) [m] that commands (N, 3) need at the frequency on the spot, and their share.
 
         The share (N,) is the ratio of the longest stride to the longest allowed, at most 1.
@@ -61,7 +61,7 @@ class StrideChoice:
         Strides are no longer than allowed; the share is the ratio of the longest to the longest allowed. A higher
         frequency comes with longer strides, so that feet keep the commanded speed.
         """
-        stride, share = self._on_the_spot(command)
+        stride, share = self._in_place_strides(command)
         stride = stride / (1.0 + self.frequency_rise * share)[:, None, None]
         length = np.linalg.norm(stride, axis=-1, keepdims=True)
         longest = self.kinematics.feet.stroke[:, None]
@@ -69,7 +69,7 @@ class StrideChoice:
 
     def frequency(self, command: Array) -> Array:
         """Return the frequency (N,) [Hz] at commands (N, 3)."""
-        _, share = self._on_the_spot(command)
+        _, share = self._in_place_strides(command)
         return np.asarray(self.kinematics.feet.frequency * (1.0 + self.frequency_rise * share))
 
     def extremes(self) -> CommandState:
@@ -79,15 +79,15 @@ class StrideChoice:
         rate = np.max(np.abs(limits.yaw_rate)) + limits.heading_gain * MAX_HEADING_ERROR
         corners[:, 2] = np.where(corners[:, 2] > 0, rate, -rate)
         corners = np.concatenate([corners, corners * [1, 1, 0], np.zeros((1, 3))])
-        phase = np.tile(np.arange(_PHASES) / _PHASES, len(corners))
+        phase = np.tile(np.arange(_STRIDE_PHASES) / _STRIDE_PHASES, len(corners))
         lift = np.full((len(phase), len(kinematics.feet.legs)), kinematics.touch_clearance)
-        return CommandState(np.repeat(corners, _PHASES, axis=0), np.ones(len(phase)), phase, lift=lift)
+        return CommandState(np.repeat(corners, _STRIDE_PHASES, axis=0), np.ones(len(phase)), phase, lift=lift)
 
-    def beside_extremes(self) -> CommandState:
+    def foothold_extremes(self) -> CommandState:
         """Return states of `extremes` with feet lifted by all heights, and footholds all around their places."""
         states, kinematics = self.extremes(), self.kinematics
         legs = len(kinematics.feet.legs)
-        every = np.arange(0, len(states.phase), _PHASES // _LIFTED_PHASES)
+        every = np.arange(0, len(states.phase), _STRIDE_PHASES // _FOOTHOLD_PHASES)
         turns, lifts, radii = np.arange(_TURNS) / _TURNS, np.linspace(0.0, 1.0, 6), np.linspace(0.25, 1.0, 4)
         turn, lift, radius, k = (grid.ravel() for grid in np.meshgrid(turns, lifts, radii, every, indexing="ij"))
         way = np.stack([np.cos(2 * np.pi * turn), np.sin(2 * np.pi * turn)], axis=-1)

@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError, suggest
 from surefoot.seeding import generator
 from surefoot.task.height_scan import ScanConfig
 from surefoot.world.ground import Ground
-from surefoot.world.terrain import HALF, TerrainField, check_size, make_field, make_terrain
+from surefoot.world.terrain import HALF_SIDE, TerrainField, check_size, make_field, make_terrain
 
 MAX_TILES = 400
 """Tiles of the largest field."""
@@ -96,7 +96,7 @@ class TerrainConfig:
 
     def _with_friction(self, ground: Ground, seed: int) -> Ground:
         """Return a ground with friction by place, out to its border; a plane as far as a terrain."""
-        sides = 2 * HALF if ground.is_flat else np.array(ground.corners.shape[:2]) * ground.cell
+        sides = 2 * HALF_SIDE if ground.is_flat else np.array(ground.corners.shape[:2]) * ground.cell
         count = np.ceil(np.broadcast_to(sides, 2) / self.friction_patch).astype(int)
         factors = generator(seed, "friction").uniform(*self.friction, count)
         return replace(ground, friction=factors, patch=self.friction_patch)

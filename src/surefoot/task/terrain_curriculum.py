@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.rotations import in_heading_frame
 from surefoot.seeding import generators
-from surefoot.task.command_tracking import has_kept_up, step_ways
+from surefoot.task.command_tracking import is_success, step_distances
 from surefoot.task.component import Component
 from surefoot.task.state import EnvState
 from surefoot.task.terrain import TerrainConfig
 from surefoot.world.terrain import TerrainField
 
-MISSED = 0.5
+MIN_COVERED_FRACTION = 0.5
 """Share of the commanded way below which a robot goes back by a level."""
-MIN_WAY = 2.5
+MIN_COMMANDED_DISPLACEMENT = 2.5
 """Distance [m] from the start to which the commands of an episode must lead: `START` of it is level, and commands that
 turn can be followed for any length without leaving that place."""
 
@@ -70,9 +70,9 @@ class TerrainCurriculum(Component):
         """Return the places (n, 2) [m] where robots start next; `fell` (n,) is how their last episodes ended."""
         if self.config.curriculum:
             way, covered = self.commanded[rows], self.covered[rows]
-            judged = self.begun[rows] & (np.linalg.norm(self.led[rows], axis=1) >= MIN_WAY)
-            rise = judged & has_kept_up(way, covered, ~fell)
-            back = self.begun[rows] & fell | judged & (covered < MISSED * way)
+            judged = self.begun[rows] & (np.linalg.norm(self.led[rows], axis=1) >= MIN_COMMANDED_DISPLACEMENT)
+            rise = judged & is_success(way, covered, ~fell)
+            back = self.begun[rows] & fell | judged & (covered < MIN_COVERED_FRACTION * way)
             self.level[rows] += rise.astype(np.int64) - back
             for i in rows[self.level[rows] >= self.config.levels]:
                 self.level[i] = self._streams[i].integers(self.config.levels)
@@ -84,8 +84,8 @@ class TerrainCurriculum(Component):
         return starts
 
     def record(self, command: Array, velocity: Array, yaw: Array, duration: Array) -> None:
-        """Add a control step of `duration` (N,) [s], which began with `yaw` (N,) [rad]; else as `step_ways`."""
-        commanded, covered = step_ways(command, velocity, duration)
+        """Add a control step of `duration` (N,) [s], which began with `yaw` (N,) [rad]; else as `step_distances`."""
+        commanded, covered = step_distances(command, velocity, duration)
         self.commanded += commanded
         self.covered += covered
         way = np.column_stack([command * duration[:, None], np.zeros(len(command))])

@@ -21,10 +21,10 @@ from surefoot.configuration import Within, to_mapping, typed_entries
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
 from surefoot.policy.contract import MEMORY
-from surefoot.robot import ROBOT, RobotDescription, carried_robot
+from surefoot.robot import ROBOT, RobotDescription, load_embedded_robot
 
 ENERGY_WEIGHT = 0.008  # w of the paper's reward, the same in all its experiments
-LOG = "log"
+IMPORTED_LOG = "log"
 """World of a trace that was imported from somebody's log, whose rows are as the log has them: commands are sent at the
 time of their row, readings are taken right after, times may repeat, and everything but time may be NaN. Its `params`
 are the gains that came with the commands, and with `read_at_row` readings were taken exactly at the times of rows."""
@@ -133,7 +133,7 @@ def run_meta(
     }
 
 
-_column_of_some = functools.partial(column, known=False, always_in_file=False)
+_optional_column = functools.partial(column, known=False, always_in_file=False)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -167,20 +167,20 @@ class EpisodeTrace:
     )
     foot_position_world: Array = column("T, L, 3", "m", "position of the foot", "world", known=False)
     true_motor_angle: Array = column("T, M", "rad", "angle at the end of the control step, not delayed", known=False)
-    command: Array = _column_of_some(
+    command: Array = _optional_column(
         "T, 3", "m/s, m/s, rad/s", "commanded speeds forward and to the left, and yaw rate", "heading"
     )
-    push_force_world: Array = _column_of_some("T, 3", "N", "force that pushed the base", "world")
-    reward: Array = _column_of_some("T", "", "reward of the control step by the task's own terms")
-    motor_saturation: Array = _column_of_some(
+    push_force_world: Array = _optional_column("T, 3", "N", "force that pushed the base", "world")
+    reward: Array = _optional_column("T", "", "reward of the control step by the task's own terms")
+    motor_saturation: Array = _optional_column(
         "T, M",
         "1",
         "fraction of the control step in which the motor was at its limit: DC motors at full duty, joint actuators at "
         "the torque that there is at their speed",
         is_fraction=True,
     )
-    motor_heat: Array = _column_of_some("T, M", "J", "energy that the motor's windings turned into heat")
-    height_map: Array = _column_of_some(
+    motor_heat: Array = _optional_column("T, M", "J", "energy that the motor's windings turned into heat")
+    height_map: Array = _optional_column(
         "T, K", "m", "heights of the ground over the base's origin, at the points of meta's height_map", "heading"
     )
     meta: dict[str, Any] = field(default_factory=dict)
@@ -190,7 +190,7 @@ class EpisodeTrace:
 
     def __post_init__(self) -> None:
         with prefix_errors("trace"):
-            object.__setattr__(self, "meta", _checked_meta(self.meta))
+            object.__setattr__(self, "meta", _check_meta(self.meta))
             sizes = trace_sizes(np.size(self.time), np.shape(self.feedback), self.meta)
             if not sizes["T"]:
                 raise SurefootError("an episode needs at least one control step")
@@ -222,8 +222,8 @@ class EpisodeTrace:
 
     @property
     def imported(self) -> bool:
-        """Whether it is a log that surefoot did not record; see `LOG`."""
-        return bool(self.meta["world"] == LOG)
+        """Whether it is a log that surefoot did not record; see `IMPORTED_LOG`."""
+        return bool(self.meta["world"] == IMPORTED_LOG)
 
     @property
     def num_steps(self) -> int:
@@ -266,7 +266,7 @@ class EpisodeTrace:
             arrays = read_npz(path)
             if (meta := pop_meta(arrays)) is None:
                 raise SurefootError("not an episode trace: it has no meta")
-            meta = _checked_meta(meta)  # Another schema may have other arrays.
+            meta = _check_meta(meta)  # Another schema may have other arrays.
             archive = pop_bytes(arrays, ROBOT)
             columns = columns_of(EpisodeTrace)
             left_out = {name for name, declared in columns.items() if not declared.always_in_file}
@@ -280,7 +280,7 @@ class EpisodeTrace:
         Raises:
             SurefootError: neither is there, or the robot is invalid.
         """
-        return carried_robot(self.robot_archive, self.meta["robot"])
+        return load_embedded_robot(self.robot_archive, self.meta["robot"])
 
 
 def trace_sizes(steps: int, feedback: tuple[int, ...], meta: Mapping[str, Any]) -> dict[str, int]:
@@ -294,7 +294,7 @@ def trace_sizes(steps: int, feedback: tuple[int, ...], meta: Mapping[str, Any]) 
     return {"T": steps, "T+1": steps + 1, "M": motors, "L": legs, "O": observations, "A": actions, "K": points}
 
 
-def _checked_meta(meta: dict[str, Any]) -> dict[str, Any]:
+def _check_meta(meta: dict[str, Any]) -> dict[str, Any]:
     """Return meta with the defaults of `TraceMeta` filled in, as plain JSON types."""
     try:
         plain: dict[str, Any] = json.loads(json.dumps(meta, default=_plain))

@@ -49,15 +49,15 @@ RACK_HEIGHT = 1.0
 """Height [m] of the base on a rack."""
 SPEED_LIMIT = 1e5
 """A generalized speed beyond this [m/s, rad/s] counts as diverged, before an engine itself would complain."""
-_AT_LIMIT = 0.999
+_SATURATION_FRACTION = 0.999
 """Share of its greatest torque from which a constraint motor is at its limit: engines solve for torques."""
 SHARED_ARRAYS = ("table_current", "table_torque", "constants", "constraint", "joint", "joint_limits")
 """Arrays of `ActuationState` that have no row for each robot."""
-CONTACT = ("contact_friction", "contact_stiffness", "contact_spinning_friction", "contact_shear_ratio")
+CONTACT_PARAMS = ("contact_friction", "contact_stiffness", "contact_spinning_friction", "contact_shear_ratio")
 """Physical parameters of the feet's contact."""
 RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
 """Physical parameters of masses and inertias."""
-_PARAMS = {
+_PARAM_ARRAYS = {
     **{
         name: name
         for name in (
@@ -70,7 +70,7 @@ _PARAMS = {
     **{"strength": "motor_strength", "friction": "motor_friction", "viscous": "motor_viscous_friction"},
 }
 """Arrays of `ActuationState` that hold a physical parameter, and its name."""
-_ROBOTS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_filter", "torque_lag", "energy")
+_ROBOT_ARRAYS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_filter", "torque_lag", "energy")
 """Arrays of `ActuationState` with a number for each robot."""
 _MOTORS = (
     *("strength", "friction", "viscous", "kp", "kd", "load_friction", "target", "duty", "torque", "constraint_speed"),
@@ -136,7 +136,7 @@ def new_actuation(robot: RobotDescription, num_envs: int, history: int, config: 
     motors, data = robot.num_motors, robot.actuator
     width = 2 * motors + IMU_WIDTH
     shapes: dict[str, tuple[int, ...]] = {
-        **dict.fromkeys(_ROBOTS, ()),
+        **dict.fromkeys(_ROBOT_ARRAYS, ()),
         **dict.fromkeys(_MOTORS, (motors,)),
         "times": (history,),
         "history": (history, width),
@@ -168,7 +168,7 @@ def new_actuation(robot: RobotDescription, num_envs: int, history: int, config: 
 
 def set_actuation_params(state: ActuationState, index: NDArray[np.int64], params: PhysicalParams) -> None:
     """Apply the parameters of servo and motor to the robots at `index`, one row each."""
-    for name, parameter in _PARAMS.items():
+    for name, parameter in _PARAM_ARRAYS.items():
         getattr(state, name)[index] = getattr(params, parameter)
 
 
@@ -341,7 +341,7 @@ def add_constraint_work(state: ActuationState, i: int) -> None:
     power = 0.0
     for m in range(motors):
         power += state.motor_torque[i, m] * state.sample[i, motors + m]
-        if abs(state.motor_torque[i, m]) >= _AT_LIMIT * state.constraint_torque[i, m]:
+        if abs(state.motor_torque[i, m]) >= _SATURATION_FRACTION * state.constraint_torque[i, m]:
             state.limit_ticks[i, m] += 1.0
     state.energy[i] += state.constants[3] * abs(power)
 

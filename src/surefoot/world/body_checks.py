@@ -11,8 +11,8 @@ from surefoot.check_result import CheckResult, fail_if, judge, warn_if
 from surefoot.errors import choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.rules import read_warnings
-from surefoot.robot.mirror import MIRRORED, side_difference
-from surefoot.robot.rigid_body import are_moments, describe_gyration, first_of
+from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, side_difference
+from surefoot.robot.rigid_body import are_valid_moments, describe_gyration, first_with_count
 from surefoot.robot.urdf import Link
 
 MIRROR_TOLERANCE = 0.02
@@ -32,7 +32,7 @@ def check_masses(robot: RobotDescription) -> CheckResult:
     links, total, length = urdf.links, robot.urdf.total_mass, robot.leg_geometry.length
     share = max(link.mass for link in links.values()) / total
     message = f"{total:.2f} kg, {share:.0%} in one body"
-    if odd := [name for name, link in links.items() if not are_moments(np.linalg.eigvalsh(link.body.inertia))]:
+    if odd := [name for name, link in links.items() if not are_valid_moments(np.linalg.eigvalsh(link.body.inertia))]:
         rule = (
             f"; no rigid body has the inertia of {choices(odd)}: none of the moments may be over the sum of the others"
         )
@@ -45,8 +45,8 @@ def check_masses(robot: RobotDescription) -> CheckResult:
     large, small = ([text for too_large, text in words if too_large is kind] for kind in (True, False))
     remedy = "take the inertia of a box of each link's size and mass in its <inertial>, or the CAD program's"
     if large:
-        return fail_if("masses", f"{message}; {first_of(large)}", message, remedy, total)
-    return warn_if("masses", f"{message}; {first_of(small)}" if small else None, message, remedy, total)
+        return fail_if("masses", f"{message}; {first_with_count(large)}", message, remedy, total)
+    return warn_if("masses", f"{message}; {first_with_count(small)}" if small else None, message, remedy, total)
 
 
 def _gyration(name: str, link: Link, ends: list[Array], robot_size: float) -> tuple[bool, str] | None:
@@ -80,11 +80,11 @@ def check_sides(robot: RobotDescription) -> CheckResult:
         rule = f"{choices(differing)}: no mirror image within {MIRROR_TOLERANCE:.0%} of the leg's length and mass"
         return CheckResult("left and right", False, rule, remedy)
     difference, length = side_difference(robot), robot.leg_geometry.length
-    most = 1e3 * MIRRORED * length
+    most = 1e3 * MAX_SIDE_DIFFERENCE * length
     if difference.length > MIRROR_TOLERANCE * length:
         rule = f"; lengths may differ by {MIRROR_TOLERANCE:.0%} of the leg, {1e3 * MIRROR_TOLERANCE * length:.2g} mm"
         return CheckResult("left and right", False, difference.text + rule, remedy)
-    if difference.length > MIRRORED * length:
+    if difference.length > MAX_SIDE_DIFFERENCE * length:
         rule = f"{difference.text}: training goes without mirrored samples, which it learns from up to {most:.2g} mm"
         return warn_if("left and right", rule, "", remedy)
     near = "" if difference.length < 1e-6 else f" within {1e3 * difference.length:.1g} mm"

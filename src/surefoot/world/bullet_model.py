@@ -24,7 +24,7 @@ from surefoot.robot.self_collision import collision_pairs
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import matrix_quat
-from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
+from surefoot.world.actuation import CONTACT_PARAMS, RACK_HEIGHT, RATIOS
 from surefoot.world.bullet_kernels import contact_planes, pin_kernel, sole_kernel, sphere_centres
 from surefoot.world.ground import FLAT, Ground, uneven_floor
 from surefoot.world.ground_contact import friction_factor
@@ -38,17 +38,17 @@ open the loops by 1.2 mm, and the robot ends elsewhere.
 LOOP_ERP = 0.2
 """Share of a loop's gap that is closed in a step."""
 _NO_OFFSET = np.zeros(3)
-_SPEED_CUT = 1e6
+_MAX_SPEED = 1e6
 """Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
 ROTOR_RATIO = 300.0
 """Turns of a rotor for a turn of its joint in Bullet; the more, the less it resists the turning of what it is on."""
-_ROTOR, _FOOT = "rotor of ", "sphere of "
+_ROTOR_PREFIX, _FOOT_PREFIX = "rotor of ", "sphere of "
 _ROTOR_MASS = 1e-9
-_WEIGHTLESS = RigidBody(_ROTOR_MASS, np.zeros(3), 1e-12 * np.eye(3))
+_MASSLESS_BODY = RigidBody(_ROTOR_MASS, np.zeros(3), 1e-12 * np.eye(3))
 _MIN_ROTOR_INERTIA = 1e-6
 _MAX_VERTICES, _MAX_INDICES = 131_072, 524_288
 """Of a mesh in PyBullet."""
-_SAME_PLANE = 1e-12
+_PLANE_TOLERANCE = 1e-12
 """Difference of numbers of a plane, see `contact_planes`, below which it stays where it is."""
 
 
@@ -72,7 +72,7 @@ PUBLISHED = BulletSettings(cone_friction=False, gravity=10.0, feet="shank", grou
 """The simulator that was published with the description of the paper's robot (pybullet_envs): no cone friction,
 300 solver iterations over 6 steps, gravity 10 m/s2, lower links as boxes on a box (on a plane, `trot` falls in 5 of 10
 episodes; there it never does)."""
-PARAMETERS = (*CONTACT, *RATIOS, "knee_friction", "knee_play", "floor_unevenness")
+PARAMETERS = (*CONTACT_PARAMS, *RATIOS, "knee_friction", "knee_play", "floor_unevenness")
 """Physical parameters that are a client's own; servo, motors and sensors have the others."""
 
 
@@ -199,9 +199,9 @@ class BulletModel:
         count = p.getNumJoints(self.body, physicsClientId=client)
         infos = [p.getJointInfo(self.body, joint, physicsClientId=client) for joint in range(count)]
         numbers = {info[1].decode(): info[0] for info in infos}
-        self.joints = {name: number for name, number in numbers.items() if not name.startswith((_ROTOR, _FOOT))}
+        self.joints = {name: number for name, number in numbers.items() if not name.startswith((_ROTOR_PREFIX, _FOOT_PREFIX))}
         self.links = {base: -1} | {info[12].decode(): info[0] for info in infos if info[0] in self.joints.values()}
-        tops = {f"{_FOOT}{leg.foot}": places[leg.foot][0] for leg in robot.legs}
+        tops = {f"{_FOOT_PREFIX}{leg.foot}": places[leg.foot][0] for leg in robot.legs}
         self._spheres = [] if self._ground.is_flat else [numbers[name] for name in tops]
         if pairs:
             bodies = self.links | dict(zip(tops, self._spheres, strict=False))
@@ -209,8 +209,8 @@ class BulletModel:
                 apart = int({tops.get(one, one), tops.get(other, other)} in pairs)
                 p.setCollisionFilterPair(self.body, self.body, bodies[one], bodies[other], apart, client)
         self.motors = [self.joints[name] for name in robot.motor_names]
-        geared = [name for name in robot.motor_names if f"{_ROTOR}{name}" in numbers]
-        self.rotors = {self.joints[name]: numbers[f"{_ROTOR}{name}"] for name in geared}
+        geared = [name for name in robot.motor_names if f"{_ROTOR_PREFIX}{name}" in numbers]
+        self.rotors = {self.joints[name]: numbers[f"{_ROTOR_PREFIX}{name}"] for name in geared}
         self.knees = [joint for joint in self.joints.values() if joint not in self.motors]
         self.feet = self._spheres or [self.links[places[leg.foot][0]] for leg in robot.legs]
         self._touching = [*self.links.values(), *self._spheres] if pairs or self._spheres else [-1, *self.feet]
@@ -265,11 +265,11 @@ class BulletModel:
         for leg in self.robot.legs:
             (sphere,) = self.robot.urdf.links[leg.foot].collisions
             top, frame = self.robot.urdf.places[leg.foot]
-            place, name = np.eye(4), f"{_FOOT}{leg.foot}"
+            place, name = np.eye(4), f"{_FOOT_PREFIX}{leg.foot}"
             place[:3, 3] = (frame @ sphere.frame)[:3, 3]
             others = [shape for shape in links[top].collisions if not np.allclose(shape.frame[:3, 3], place[:3, 3])]
             links[top] = replace(links[top], collisions=tuple(others))
-            links[name] = Link(_WEIGHTLESS, (), (replace(sphere, link=name, frame=np.eye(4)),))
+            links[name] = Link(_MASSLESS_BODY, (), (replace(sphere, link=name, frame=np.eye(4)),))
             joints[name] = Joint(name, "fixed", top, name, (1.0, 0.0, 0.0), place)
         return Urdf(urdf.path, links, joints)
 
@@ -283,7 +283,7 @@ class BulletModel:
         links, joints = dict(urdf.links), dict(urdf.joints)
         for joint in urdf.joints.values():
             if joint.name in self.robot.motor_names:
-                name = f"{_ROTOR}{joint.name}"
+                name = f"{_ROTOR_PREFIX}{joint.name}"
                 links[name] = rotor
                 joints[name] = replace(joint, name=name, kind="continuous", child=name, limits=None)
         return Urdf(urdf.path, links, joints)
@@ -373,7 +373,7 @@ class BulletModel:
                 lateralFriction=1.0,
                 spinningFriction=0.0,
                 rollingFriction=0.0,
-                maxJointVelocity=_SPEED_CUT,
+                maxJointVelocity=_MAX_SPEED,
                 physicsClientId=self.client,
             )
         self._set_joint_friction([*self.joints.values(), *self.rotors.values()], 0.0)
@@ -390,7 +390,7 @@ class BulletModel:
         changed = {name for name in PARAMETERS if values[name] != self.values[name]}
         rotors_changed = not np.array_equal(rotor_inertia, self.rotor_inertia)
         self.values, self.rotor_inertia = values, rotor_inertia.copy()
-        if changed.intersection(CONTACT):
+        if changed.intersection(CONTACT_PARAMS):
             self._set_foot_contact()
         if changed.intersection(RATIOS):
             self._scale_masses()
@@ -402,7 +402,7 @@ class BulletModel:
             self._set_floor(values["floor_unevenness"])
 
     def _set_foot_contact(self) -> None:
-        _, stiffness, spinning, shear = (self.values[name] for name in CONTACT)
+        _, stiffness, spinning, shear = (self.values[name] for name in CONTACT_PARAMS)
         # Bullet's own friction holds a foot where it is, without give.
         self.soles = shear != 1.0 and not self.rack
         self._sole_law = (stiffness * shear, self.robot.contact.damping, self.robot.timing.servo_step)
@@ -485,7 +485,7 @@ class BulletModel:
         planes, height = np.empty_like(self._planes_at), self._floor.height(feet[:, :2])
         contact_planes(self._ground.corners, self._ground.grid, feet, height, self.foot_radius, planes)
         # One that stays keeps Bullet's contacts with it.
-        moved = ~(np.abs(planes - self._planes_at) < _SAME_PLANE).all(axis=1)
+        moved = ~(np.abs(planes - self._planes_at) < _PLANE_TOLERANCE).all(axis=1)
         self._planes_at[moved] = planes[moved]
         for k in np.flatnonzero(moved):
             x, y, z, offset = planes[k]

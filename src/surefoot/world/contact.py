@@ -27,7 +27,7 @@ Vector = tuple[float, float, float]
 
 TANGENTIAL_DAMPING = 0.5
 """B_t / B. The sole's stiffness along the ground is nominally that into the ground; neither was measured."""
-STEEP = 0.5
+WALL_NORMAL_Z = 0.5
 """Vertical part of a unit normal below which a contact is one at a wall, steeper than 60 degrees."""
 SPIN_SPEED = 0.1
 """Angular velocity w_0 [rad/s] at which a foot that turns on the spot meets its full resistance."""
@@ -91,7 +91,7 @@ def friction_force_kernel(
     wall. The third component of the force follows from the normal. All else is as in `foot_force_kernel`.
     """
     # The axis that is nearest to the normal, and the two along the surface.
-    n = 2 if abs(normal[2]) >= STEEP else 0 if abs(normal[0]) > abs(normal[1]) else 1
+    n = 2 if abs(normal[2]) >= WALL_NORMAL_Z else 0 if abs(normal[0]) > abs(normal[1]) else 1
     a, b = (n + 1) % 3, (n + 2) % 3
     along = velocity[0] * normal[0] + velocity[1] * normal[1] + velocity[2] * normal[2]
     slip_a, slip_b = velocity[a] - along * normal[a], velocity[b] - along * normal[b]

@@ -12,7 +12,7 @@ from surefoot.arrays import Array
 from surefoot.check_result import CheckResult, judge, warn_if
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import GRAVITY, RobotDescription, SerialLegs
-from surefoot.robot.actuator import PLACEHOLDER_TORQUE, JointActuatorData
+from surefoot.robot.actuator import MIN_PLACEHOLDER_TORQUE, JointActuatorData
 from surefoot.world.body_checks import check_file, check_masses, check_sides
 from surefoot.world.interface import WorldConfig
 from surefoot.world.motor_load import (
@@ -21,13 +21,13 @@ from surefoot.world.motor_load import (
     continuous_torque,
     describe_torque,
     measure_load,
-    unlimited,
+    without_torque_limits,
 )
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
 
 MAX_STANDING_TORQUE = 0.6
 """Share of a motor's torque that standing may take: a trot stands on half of the legs."""
-DRAWN_TOLERANCE = 0.02
+VISUAL_TOLERANCE = 0.02
 """Share of the straight leg by which what is drawn of a leg may end beyond or short of its foot's sphere."""
 FOOT_TOLERANCE = 0.05
 """Share by which radii of feet may differ."""
@@ -37,10 +37,10 @@ MAX_SAG = 0.2
 """Share of its resting height by which a standing robot may sag."""
 STAND_TIME = 2.0
 """How long it must stand [s]."""
-_SATURATED = 0.5
+_MIN_SATURATED_FRACTION = 0.5
 """Share of the time at its limit from which a motor is why a robot does not stand."""
-_STRONGER = "stand with straighter legs (leg_space.rest), or take stronger motors or a lighter robot"
-_DAMPER = 1.5
+_TORQUE_REMEDY = "stand with straighter legs (leg_space.rest), or take stronger motors or a lighter robot"
+_MAX_DAMPER_STEP = 1.5
 """Steps, in times m / B, up to which a damper B that is computed at the step's start is stable; 2 is the limit."""
 
 
@@ -75,9 +75,9 @@ def _check_torque_limits(robot: RobotDescription) -> CheckResult:
         return CheckResult("torque limits", True, "DC motors: by voltage and the torque-current curve")
     torque, unit = np.asarray(robot.actuator.torque_limit), robot.weight * robot.leg_geometry.length
     message = f"{_span(torque)} N m, {_span(torque / unit)} m g l"
-    rule = f"; over {PLACEHOLDER_TORQUE:g} m g l is a placeholder"
+    rule = f"; over {MIN_PLACEHOLDER_TORQUE:g} m g l is a placeholder"
     remedy = "state the actuator's real torque in actuator.torque_limit"
-    real = bool((torque <= PLACEHOLDER_TORQUE * unit).all())
+    real = bool((torque <= MIN_PLACEHOLDER_TORQUE * unit).all())
     return judge("torque limits", real, message, rule, remedy, float(torque.max()))
 
 
@@ -93,10 +93,10 @@ def _check_feet(robot: RobotDescription, model: mujoco.MjModel) -> CheckResult:
     message = f"{len(robot.legs)} spheres of {sizes}"
     if not equal:
         return CheckResult("feet", False, message + rule, remedy, float(radii.mean()))
-    beyond = drawn_beyond_feet(robot)
+    beyond = visual_overhang(robot)
     worst = int(np.argmax(np.abs(beyond)))
     warning = None
-    if abs(beyond[worst]) > DRAWN_TOLERANCE * robot.leg_geometry.length:
+    if abs(beyond[worst]) > VISUAL_TOLERANCE * robot.leg_geometry.length:
         where = "below" if beyond[worst] > 0 else "above"
         apart = f"{1e3 * abs(beyond[worst]):.2g} mm {where} its sphere"
         warning = f"{message}; what is drawn of {robot.leg_names[worst]} ends {apart}"
@@ -104,7 +104,7 @@ def _check_feet(robot: RobotDescription, model: mujoco.MjModel) -> CheckResult:
     return warn_if("feet", warning, message, remedy, float(radii.mean()))
 
 
-def drawn_beyond_feet(robot: RobotDescription) -> Array:
+def visual_overhang(robot: RobotDescription) -> Array:
     """Return how far legs are drawn beyond their feet's spheres (L,) [m], along the shank; 0 without a drawing."""
     beyond = np.zeros(len(robot.legs))
     if robot.looks is None or not isinstance(robot.leg_geometry, SerialLegs):
@@ -135,7 +135,7 @@ def _check_stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Che
     remedy = "choose another leg_space.rest, stiffer gains or the right masses"
     expected = float(resting_qpos(robot, model)[2])
     try:
-        own, free = (_stand(one) for one in (robot, unlimited(robot)))
+        own, free = (_stand(one) for one in (robot, without_torque_limits(robot)))
     except SurefootError as error:
         yield CheckResult("stands", False, str(error), remedy)
         return
@@ -148,17 +148,17 @@ def _check_stand(robot: RobotDescription, model: mujoco.MjModel) -> Iterator[Che
     there = np.array([available_torque(robot, k) for k in range(robot.num_motors)])
     worst = int(np.argmax(asked / there))
     asks = f"{robot.motor_names[worst]} is asked for {asked[worst]:.3g} N m, {describe_torque(robot, worst)}"
-    saturated = float(own.saturation.mean(axis=0).max()) >= _SATURATED
+    saturated = float(own.saturation.mean(axis=0).max()) >= _MIN_SATURATED_FRACTION
     if not stands and saturated:
         rule += f"; {asks}"
-        remedy = f"{_STRONGER}, or correct actuator.torque_limit" if stands_unlimited else remedy
+        remedy = f"{_TORQUE_REMEDY}, or correct actuator.torque_limit" if stands_unlimited else remedy
     yield judge("stands", stands, message, rule, remedy, tilt)
     share = float(asked[worst] / there[worst])
     long = continuous_torque(robot, worst)
     passed = share <= MAX_STANDING_TORQUE and bool(asked[worst] <= long)
     rule = f"; at most {MAX_STANDING_TORQUE:.0%} of it, as a trot stands on half of the legs, and no more than for long"
     if stands or stands_unlimited:
-        yield judge("torque to stand", passed, f"{asks}: {share:.0%}", rule, _STRONGER, share)
+        yield judge("torque to stand", passed, f"{asks}: {share:.0%}", rule, _TORQUE_REMEDY, share)
 
 
 def _stand(robot: RobotDescription) -> MotorLoad:
@@ -199,7 +199,7 @@ def _step_limits(robot: RobotDescription, model: mujoco.MjModel) -> tuple[str, d
     masses = [_foot_mass(model, data, inertia, int(geom)) for geom in foot_geoms(robot, model)]
     contact = math.sqrt(robot.contact.stiffness / min(masses))
     limits["the feet's stiffness"] = 0.5 / contact
-    limits["the feet's damping"] = _DAMPER * min(masses) / robot.contact.damping
+    limits["the feet's damping"] = _MAX_DAMPER_STEP * min(masses) / robot.contact.damping
     return f"{message}, feet on the ground {contact / math.tau:.0f} Hz", limits
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.params import CONTROLLER
+from surefoot.robot.params import CONTROLLER_PARAMETERS
 from surefoot.robot.randomization import draw_hidden, load_ranges
 
 RANGES = "ensemble"
@@ -32,9 +32,9 @@ def draw_ensemble(robot: RobotDescription, params: PhysicalParams, seeds: Sequen
     """Return the robots of these seeds with control steps and gains of `params`; all else must be nominal there."""
     nominal = PhysicalParams.nominal(robot, params.num_envs)
     for name in PhysicalParams.names():
-        if name not in CONTROLLER and not np.array_equal(getattr(params, name), getattr(nominal, name)):
+        if name not in CONTROLLER_PARAMETERS and not np.array_equal(getattr(params, name), getattr(nominal, name)):
             raise SurefootError(
                 f"{name} is given; robots of the ensemble have their own: leave it out, or world bullet"
             )
-    own = {name: getattr(params, name) for name in CONTROLLER}
+    own = {name: getattr(params, name) for name in CONTROLLER_PARAMETERS}
     return replace(ensemble_params(robot, params.num_envs, seeds), **own)

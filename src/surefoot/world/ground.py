@@ -15,11 +15,11 @@ import numpy as np
 
 from surefoot.arrays import Array
 
-FLOOR_CELL = 0.1
+FLOOR_SPACING = 0.1
 """Distance [m] of the points at which an uneven floor has its heights."""
-FLOOR_CELLS = (280, 120)
+FLOOR_POINTS = (280, 120)
 """Points of an uneven floor along x and y: 28 m by 12 m, level beyond."""
-FLOOR_BEHIND = 4.0
+FLOOR_LENGTH_BEHIND = 4.0
 """Length [m] of an uneven floor behind the place where robots start."""
 _SLOPE_SPAN = 0.2
 """Half the distance [m] over which the slope of a course is measured."""
@@ -144,14 +144,14 @@ class Ground:
             np.arange(n + 1) * self.cell + low for n, low in zip(self.corners.shape[:2], self.grid[:2], strict=True)
         )
         quads: list[Any] = []
-        for (i, k, j, m), (a, b, c, d) in _joined(self.corners.reshape(*self.corners.shape[:2], 4)):
+        for (i, k, j, m), (a, b, c, d) in _merge_cells(self.corners.reshape(*self.corners.shape[:2], 4)):
             quads.append([(x[i], y[j], a), (x[k], y[j], c), (x[i], y[m], b), (x[k], y[m], d)])
         for axis in (0, 1):
             cells = self.corners if axis == 0 else self.corners.transpose(1, 0, 3, 2)
             low, high = cells[:-1, :, 1, :], cells[1:, :, 0, :]
             walls = np.concatenate([low, high], axis=-1)
             place, along = (x, y) if axis == 0 else (y, x)
-            for (i, _, j, m), (a, b, c, d) in _joined(walls, rows=False):
+            for (i, _, j, m), (a, b, c, d) in _merge_cells(walls, rows=False):
                 if (a, b) != (c, d):
                     wall = [(place[i + 1], along[j], a), (place[i + 1], along[j], c)]
                     wall += [(place[i + 1], along[m], b), (place[i + 1], along[m], d)]
@@ -166,7 +166,7 @@ class Ground:
 FLAT = Ground()
 
 
-def _joined(heights: Array, rows: bool = True) -> list[tuple[tuple[int, int, int, int], tuple[float, ...]]]:
+def _merge_cells(heights: Array, rows: bool = True) -> list[tuple[tuple[int, int, int, int], tuple[float, ...]]]:
     """Return rectangles of cells as (low i, high i, low j, high j), and the four heights of each.
 
     Cells of which all four heights are the same number are joined along j, and along i with `rows`. Walls, whose
@@ -205,11 +205,11 @@ def uneven_floor(unevenness: float) -> Ground:
     """
     if unevenness == 0.0:
         return FLAT
-    seed, columns = int(np.float64(unevenness).view(np.uint64)), FLOOR_CELLS[1]
-    draws = np.clip(np.random.default_rng(seed).standard_normal(FLOOR_CELLS), -3.0, 3.0)
-    start = round(FLOOR_BEHIND / FLOOR_CELL)
+    seed, columns = int(np.float64(unevenness).view(np.uint64)), FLOOR_POINTS[1]
+    draws = np.clip(np.random.default_rng(seed).standard_normal(FLOOR_POINTS), -3.0, 3.0)
+    start = round(FLOOR_LENGTH_BEHIND / FLOOR_SPACING)
     draws[start - 5 : start + 5, columns // 2 - 5 : columns // 2 + 5] = 0.0
     draws[[0, -1]] = 0.0
     draws[:, [0, -1]] = 0.0
-    center = (0.5 * FLOOR_CELL * FLOOR_CELLS[0] - FLOOR_BEHIND, 0.0)
-    return Ground.from_points(unevenness * draws, FLOOR_CELL, center, course=np.zeros((0, 0)))
+    center = (0.5 * FLOOR_SPACING * FLOOR_POINTS[0] - FLOOR_LENGTH_BEHIND, 0.0)
+    return Ground.from_points(unevenness * draws, FLOOR_SPACING, center, course=np.zeros((0, 0)))

@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from surefoot.arrays import Array
-from surefoot.world.contact import STEEP
+from surefoot.world.contact import WALL_NORMAL_Z
 
 _function = njit(cache=True, error_model="numpy", _nrt=False)
 """As `kernel`, but not inlined: this code is long, and most of it is not run at most steps."""
@@ -87,7 +87,7 @@ def _height(corners: Array, u: float, v: float, step_u: float, step_v: float, go
 
 
 @_function
-def _is_nearest(corners: Array, u: float, v: float, z: float, normal: Vector, side: float) -> bool:
+def _is_closest_surface(corners: Array, u: float, v: float, z: float, normal: Vector, side: float) -> bool:
     """Return whether the surface around a place (u, v) of an edge at height z is behind the plane with a normal there.
 
     Around any place it is flat between rays along the sides and diagonals of cells, but for walls. A ray along a wall
@@ -131,7 +131,7 @@ def _triangle(
     slope_x, slope_y = (second - first) / side, (third - first) / side
     square = 1.0 + slope_x * slope_x + slope_y * slope_y
     over = z - first - slope_x * x - slope_y * y
-    if over > 0.0 and over * over >= bound * bound * square and square * STEEP * STEEP <= 1.0:
+    if over > 0.0 and over * over >= bound * bound * square and square * WALL_NORMAL_Z * WALL_NORMAL_Z <= 1.0:
         return np.inf, 0.0, 0.0, 1.0, False
     at_x, at_y = x + slope_x * over / square, y + slope_y * over / square
     upright = 1.0 / math.sqrt(square)
@@ -219,7 +219,7 @@ def sphere_contacts(
         distance, ex, ey, ez, within = _half_contact(
             corners[i, j], u - i + v - j <= 1.0, (u - i) * side, (v - j) * side, z, side, radius
         )
-        if within and ez >= STEEP:
+        if within and ez >= WALL_NORMAL_Z:
             carrying = _deeper(carrying, radius - distance, ex, ey, ez)
     for other_i in range(max(math.floor(u - reach), 0), min(math.floor(u + reach), last_i) + 1):
         for other_j in range(max(math.floor(v - reach), 0), min(math.floor(v + reach), last_j) + 1):
@@ -262,13 +262,13 @@ def sphere_contacts(
                         least, nx, ny, nz = distance, -ex, -ey, -ez
                 elif distance < radius:
                     place_u, place_v = u - distance * ex / side, v - distance * ey / side
-                    if within or _is_nearest(corners, place_u, place_v, z - distance * ez, (ex, ey, ez), side):
-                        if ez >= STEEP:
+                    if within or _is_closest_surface(corners, place_u, place_v, z - distance * ez, (ex, ey, ez), side):
+                        if ez >= WALL_NORMAL_Z:
                             carrying = _deeper(carrying, radius - distance, ex, ey, ez)
                         else:
                             wall = _deeper(wall, radius - distance, ex, ey, ez)
     if buried:
-        if nz < STEEP:
+        if nz < WALL_NORMAL_Z:
             return NO_CONTACT, (radius + least, nx, ny, nz)
         carrying = (radius + least, nx, ny, nz)
     return carrying, wall
@@ -291,7 +291,7 @@ def friction_factor(friction: Array, grid: Array, x: float, y: float) -> float:
 
 
 @_function
-def _highest(points: Array, grid: Array, x: float, y: float, wide: float, deep: float) -> float:
+def _max_height(points: Array, grid: Array, x: float, y: float, wide: float, deep: float) -> float:
     """Return the greatest height [m] of a continuous ground in a rectangle, or of points just beside it.
 
     Args:
@@ -320,7 +320,7 @@ def _cell_distance(points: Array, i: int, j: int, u: float, v: float, z: float, 
     """Return the distance of a point over the ground from a cell, or the bound, whichever is less.
 
     Args:
-        points: as in `_highest`.
+        points: as in `_max_height`.
         i: number of the cell along x.
         j: number of the cell along y.
         u: of the point along x [cells].
@@ -348,8 +348,8 @@ def point_clearance(points: Array, grid: Array, x: float, y: float, z: float, bo
     """Return the distance [m] of a point from the ground, 0 below its surface, or the bound, whichever is less.
 
     Args:
-        points: as in `_highest`.
-        grid: as in `_highest`.
+        points: as in `_max_height`.
+        grid: as in `_max_height`.
         x: of the point in the world [m].
         y: as x.
         z: as x.
@@ -394,8 +394,8 @@ def shape_clearance(
     It is as far as the bound at most.
 
     Args:
-        points: as in `_highest`; none of the plane z = 0.
-        grid: as in `_highest`.
+        points: as in `_max_height`; none of the plane z = 0.
+        grid: as in `_max_height`.
         middle: of the shape [m].
         reach: half of the sides of a box along the world's axes around each part of the shape [m].
         offset: from the middle of each part along the shape to that of the next one [m].
@@ -413,7 +413,7 @@ def shape_clearance(
     if points.shape[0] == 0:
         return min(lowest, bound)
     wide, deep = reach[0] + spread * abs(dx) + bound, reach[1] + spread * abs(dy) + bound
-    top = _highest(points, grid, middle[0], middle[1], wide, deep)
+    top = _max_height(points, grid, middle[0], middle[1], wide, deep)
     if lowest - top >= bound:
         return bound
     least, square = bound, 0.25 * (dx * dx + dy * dy + dz * dz)
@@ -426,7 +426,7 @@ def shape_clearance(
             break
         far = -np.inf
         if is_box:
-            far = min(least, z - reach[2] - _highest(points, grid, x, y, reach[0] + least, reach[1] + least))
+            far = min(least, z - reach[2] - _max_height(points, grid, x, y, reach[0] + least, reach[1] + least))
         if not far > need:
             far = point_clearance(points, grid, x, y, z, least + cover) - cover
         if not is_box and not far > need:

@@ -63,7 +63,7 @@ def measure_load(
     return MotorLoad(torque, speed, saturation, truth, finished)
 
 
-def unlimited(robot: RobotDescription) -> RobotDescription:
+def without_torque_limits(robot: RobotDescription) -> RobotDescription:
     """Return a robot whose joint actuators have any torque at any speed; DC motors stay as they are."""
     if not isinstance(robot.actuator, JointActuatorData):
         return robot

@@ -24,13 +24,13 @@ from surefoot.world.actuation import (
 )
 from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
 from surefoot.world.ground_contact import friction_factor, shape_clearance, sphere_contacts
-from surefoot.world.native import call_step, doubles, ints, pointers, take_number
+from surefoot.world.native import call_step, doubles, ints, pointers, fetch_and_increment
 
 Index = NDArray[np.int64]
 
 NEAR = 0.002
 """Distance [m] from the ground at which shapes take part in MuJoCo's search for contacts, beside a step's motion."""
-LOOK = 0.05
+MAX_CLEARANCE = 0.05
 """Distance [m] to which a shape's way to the ground is looked for."""
 
 DATA_FIELDS = (
@@ -158,7 +158,7 @@ def _select_shapes(native: Native, worker: int, i: int) -> None:
                     part[1],
                     native.shape_is_box[k],
                     NEAR + motion,
-                    LOOK,
+                    MAX_CLEARANCE,
                 )
                 near = not native.clearance[i, k] > NEAR + motion
         geoms[g] = 1 if near else 0
@@ -193,7 +193,7 @@ def observe(native: Native, state: ActuationState, i: int) -> bool:
 
 
 @kernel
-def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Array, force: Array) -> None:
+def _apply_foot_forces(native: Native, state: ActuationState, i: int, velocity: Array, force: Array) -> None:
     """Apply the ground's forces on robot `i`'s feet, from the positions and velocities that MuJoCo has computed."""
     xpos, xipos = doubles(native.geom_xpos[i]), doubles(native.xipos[i])
     cvel, com = doubles(native.cvel[i]), doubles(native.subtree_com[i])
@@ -248,7 +248,7 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
 
 
 @kernel
-def _seek_speeds(native: Native, state: ActuationState, i: int) -> None:
+def _set_target_speeds(native: Native, state: ActuationState, i: int) -> None:
     """Make the friction that MuJoCo has set up for robot `i`'s motor joints accelerate to `state.constraint_speed`.
 
     Bounded joint friction is a constraint on the joint's acceleration, which for speed 0 at the step's end is
@@ -283,9 +283,9 @@ def _run(
             applied[native.motor_dof[m]] = native.motor_sign[m] * torque
         _select_shapes(native, worker, i)
         call_step(native.step1, model, data)
-        _feet_on_ground(native, state, i, velocity, force)
+        _apply_foot_forces(native, state, i, velocity, force)
         if state.constraint[0]:
-            _seek_speeds(native, state, i)
+            _set_target_speeds(native, state, i)
         call_step(native.step2, model, data)
         state.ticks[i] += 1
         if not observe(native, state, i):
@@ -314,7 +314,7 @@ def advance(
     """
     velocity, force = np.zeros(3), np.zeros(3)
     while True:
-        i = take_number(counter.ctypes.data)
+        i = fetch_and_increment(counter.ctypes.data)
         if i >= len(servo_steps):
             return
         if servo_steps[i] == 0:

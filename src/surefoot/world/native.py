@@ -16,7 +16,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-_LARGEST_STRUCT = 1 << 20
+_MAX_STRUCT_SIZE = 1 << 20
 
 
 def function_address(name: str) -> int:
@@ -47,7 +47,7 @@ def call_step(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
 
 def struct_offset(struct: int, pointer: int) -> int:
     """Return the offset [bytes] of a pointer in the C struct at an address; an `OSError`, if it is not there."""
-    for offset in range(0, _LARGEST_STRUCT, 8):
+    for offset in range(0, _MAX_STRUCT_SIZE, 8):
         if ctypes.c_uint64.from_address(struct + offset).value == pointer:
             return offset
     raise OSError("MuJoCo's data does not hold the array at the expected address")
@@ -76,7 +76,7 @@ ints = _array_at(types.int32)
 
 
 @intrinsic
-def take_number(typing_context: Any, address: Any) -> Any:
+def fetch_and_increment(typing_context: Any, address: Any) -> Any:
     """Take the next number of a counter (int64) at an address that threads share: each gets a different one."""
     signature = types.int64(types.int64)
 

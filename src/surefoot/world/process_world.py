@@ -31,7 +31,7 @@ from surefoot.world.sim_world import SimWorld, check_batch
 
 Rows = TypeVar("Rows", SensorReadings, SimState)
 
-_WAIT = 2.0
+_EXIT_TIMEOUT = 2.0
 """Time [s] that a process has to end by itself."""
 _ROWS = ("engine", "control_steps", "noise", "diverged", "starts", "headings")
 """Arrays of a world's state with a row for each robot."""
@@ -91,7 +91,7 @@ def _terminate(processes: Sequence[subprocess.Popen[bytes]]) -> None:
                     pipe.close()
     for process in processes:
         try:
-            process.wait(_WAIT)
+            process.wait(_EXIT_TIMEOUT)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
@@ -135,7 +135,7 @@ class ProcessWorld:
         check_batch(num_envs, params)
         self.robot, self.num_envs, self.config = robot, num_envs, config
         self.params = PhysicalParams.nominal(robot, num_envs) if params is None else params.rows(np.arange(num_envs))
-        count = processes_for(num_envs, config)
+        count = process_count(num_envs, config)
         bounds = [num_envs * k // count for k in range(count + 1)]
         self._shares = [slice(first, last) for first, last in itertools.pairwise(bounds)]
         self._truths: list[SimState] | None = None
@@ -185,7 +185,7 @@ class ProcessWorld:
                 replies.append(pickle.load(process.stdout))
         except (BrokenPipeError, EOFError, pickle.UnpicklingError) as error:
             with contextlib.suppress(subprocess.TimeoutExpired):
-                process.wait(_WAIT)
+                process.wait(_EXIT_TIMEOUT)
             self._abort()
             raise SurefootError(
                 f"a process of the simulated world ended on its own (exit code {process.returncode}); "
@@ -293,12 +293,12 @@ class ProcessWorld:
         self.divergences = sum(self._call("set_state", parts))
 
 
-def processes_for(num_envs: int, config: WorldConfig) -> int:
+def process_count(num_envs: int, config: WorldConfig) -> int:
     """Return the number of processes for so many robots: as given, one a core if 0, at most one a robot."""
     return max(1, min(config.threads or os.cpu_count() or 1, num_envs))
 
 
-def spread_world(
+def make_distributed_world(
     robot: RobotDescription, num_envs: int, params: PhysicalParams | None, seed: int, config: WorldConfig, engine: str
 ) -> Simulation:
     """Return simulated robots: in this process if one is enough, else on `config.threads` processes.
@@ -306,7 +306,7 @@ def spread_world(
     Raises:
         SurefootError: as `SimWorld`, or more robots than so many processes can hold.
     """
-    processes, most = processes_for(num_envs, config), WORLDS[engine].max_robots
+    processes, most = process_count(num_envs, config), WORLDS[engine].max_robots
     if most is not None and num_envs > most * processes:
         raise SurefootError(
             f"num_envs is {num_envs}; world {engine} holds up to {most} robots in each of {processes} processes"

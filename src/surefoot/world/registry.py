@@ -39,7 +39,7 @@ class WorldEntry:
     """The engine steps its robots on several threads; where it does not, processes share the robots."""
     max_robots: int | None = None
     """Robots that one process can hold; None for any number."""
-    robots_side_by_side: int = 0
+    robots_per_batch: int = 0
     """Robots to simulate at a time where there are many episodes; 0 for all."""
     seeds: range | None = None
     """Seeds of the world's own robots (`world.ensemble`); None: robots have the parameters that the caller gives."""
@@ -51,7 +51,7 @@ _BULLET = WorldEntry(
     extra="bullet",
     uses_threads=False,
     max_robots=256,  # of the 1024 clients that PyBullet has room for; each takes some 33 MB
-    robots_side_by_side=128,
+    robots_per_batch=128,
 )
 WORLDS = {
     "mujoco": WorldEntry("surefoot.world.mujoco_engine:MujocoEngine", package="mujoco", extra="sim"),

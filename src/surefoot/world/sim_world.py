@@ -20,7 +20,7 @@ from surefoot.world.registry import DEFAULT_WORLD, check_modelled, find_engine
 SETTLE_TIME = 0.5
 """Time [s] for which a robot settles before an episode (the robot's published environment)."""
 _NOISE_BLOCK = 256
-_ZERO_AT_START = (
+_RESET_ARRAYS = (
     *("ticks", "duty", "torque", "motor_torque", "energy", "heat", "overheated_time", "switched_off", "contact_ticks"),
     *("limit_ticks", "filtered_speed", "friction_stretch"),
 )
@@ -112,7 +112,7 @@ class SimWorld:
 
     def _reset(self, rows: Index) -> None:
         actuation, config = self.actuation, self.config
-        for name in _ZERO_AT_START:
+        for name in _RESET_ARRAYS:
             getattr(actuation, name)[rows] = 0
         actuation.target[rows] = self.resting_angles
         self._control_steps[rows] = 0

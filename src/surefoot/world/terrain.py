@@ -21,21 +21,21 @@ from surefoot.world.ground import FLAT, Ground
 
 START = 1.0
 """Half the side [m] of the level place where robots start."""
-HALF = 10.0
+HALF_SIDE = 10.0
 """Half the side [m] of a terrain that is not a tile of a field."""
-TREAD = 0.3
+TREAD_DEPTH = 0.3
 """Depth [m] of a step of stairs."""
-ROUGH_CELL = 0.2
+ROUGH_SPACING = 0.2
 """Distance [m] of the points of rough ground, as in legged_gym."""
 BLOCK = 0.4
 """Side [m] of a block."""
-LAND = 0.6
+GAP_SPACING = 0.6
 """Ground [m] between gaps."""
 GAP = 0.1
 """Distance [m] of stepping stones."""
-DEPTH = 1.0
+MAX_GAP_DEPTH = 1.0
 """Greatest depth [m] of gaps, which are twice as deep as wide, and of the ground between stones."""
-DEEPEST_STONES = 0.25
+MAX_DEPTH_STONE_SIDE = 0.25
 """Side [m] of the stones between which the ground is that deep; between larger ones it is less, by the square."""
 GRID = 0.05
 """Widths of gaps and sides of stones are whole multiples of this [m]."""
@@ -43,7 +43,7 @@ CELL = 0.1
 """Side [m] of a cell; half of it where there are gaps or stones."""
 MAX_POINTS = 4_000_000
 """Points of the largest map."""
-MAX_CELL = 0.5
+MAX_MAP_SPACING = 0.5
 """Distance [m] of the points of the coarsest map: about a robot's length."""
 MAX_HEIGHT = 100.0
 """Greatest height or depth [m] in a map."""
@@ -51,7 +51,7 @@ MAX_START_STEP = 0.05
 """Greatest distance of heights [m] from a plane in a map, within `START_RADIUS` of the place where the robot starts."""
 START_RADIUS = 0.5
 """See above [m]."""
-PNG_UNIT, PNG_CELL = 0.001, 0.05
+PNG_UNIT, PNG_SPACING = 0.001, 0.05
 """Height [m] of one unit of a picture's grey, and distance [m] of its pixels."""
 
 Heights = tuple[Array, Array]
@@ -73,7 +73,7 @@ class Kind:
     """The size must be a whole multiple of this; 0: any."""
 
 
-def _middles(half: float, cell: float) -> tuple[Array, Array]:
+def _cell_centers(half: float, cell: float) -> tuple[Array, Array]:
     """Return x and y [m] of the middles of cells, (n, n) each."""
     along = (np.arange(round(2 * half / cell)) + 0.5) * cell - half
     x, y = np.meshgrid(along, along, indexing="ij")
@@ -82,7 +82,7 @@ def _middles(half: float, cell: float) -> tuple[Array, Array]:
 
 def _distance(half: float, cell: float) -> Array:
     """Return how far the middles of cells are from the level place, along x or y, whichever is more (n, n) [m]."""
-    x, y = _middles(half, cell)
+    x, y = _cell_centers(half, cell)
     distance: Array = np.maximum(np.abs(x), np.abs(y)) - START
     return distance
 
@@ -93,8 +93,8 @@ def _level_cells(tops: Array) -> Array:
 
 def _stairs(size: float, half: float, cell: float, _: np.random.Generator) -> Heights:
     distance = _distance(half, cell)
-    steps = np.ceil(np.round(np.maximum(distance, 0.0) / TREAD, 6))
-    course: Array = size * np.where(distance > 0, distance / TREAD + 0.5, 0.0)
+    steps = np.ceil(np.round(np.maximum(distance, 0.0) / TREAD_DEPTH, 6))
+    course: Array = size * np.where(distance > 0, distance / TREAD_DEPTH + 0.5, 0.0)
     return _level_cells(size * steps), course
 
 
@@ -106,10 +106,10 @@ def _slope(size: float, half: float, cell: float, _: np.random.Generator) -> Hei
 
 
 def _rough(size: float, half: float, cell: float, rng: np.random.Generator) -> Heights:
-    count = round(2 * half / ROUGH_CELL) + 1
-    points = np.arange(count) * ROUGH_CELL - half
+    count = round(2 * half / ROUGH_SPACING) + 1
+    points = np.arange(count) * ROUGH_SPACING - half
     far = np.maximum(np.abs(points)[:, None], np.abs(points)[None, :]) > START
-    coarse = Ground.from_points(size * (rng.random((count, count)) - 0.5) * far, ROUGH_CELL)
+    coarse = Ground.from_points(size * (rng.random((count, count)) - 0.5) * far, ROUGH_SPACING)
     # Smaller cells have parts of the same triangles.
     fine = np.arange(round(2 * half / cell) + 1) * cell - half
     heights = coarse.height(np.stack(np.meshgrid(fine, fine, indexing="ij"), axis=-1))
@@ -117,7 +117,7 @@ def _rough(size: float, half: float, cell: float, rng: np.random.Generator) -> H
 
 
 def _blocks(size: float, half: float, cell: float, rng: np.random.Generator) -> Heights:
-    x, y = _middles(half, cell)
+    x, y = _cell_centers(half, cell)
     i, j = (np.floor(np.round((one + half) / BLOCK, 6)).astype(np.int64) for one in (x, y))
     tops = rng.random((i.max() + 1, j.max() + 1))[i, j] * size
     far = _distance(half, cell) > 0
@@ -127,17 +127,17 @@ def _blocks(size: float, half: float, cell: float, rng: np.random.Generator) -> 
 def _gaps(size: float, half: float, cell: float, _: np.random.Generator) -> Heights:
     distance = _distance(half, cell)
     # The first gap is at the edge of the level place.
-    gap = (distance > 0) & (np.round(distance % (size + LAND), 6) < size)
-    return _level_cells(np.where(gap, -min(DEPTH, 2 * size), 0.0)), np.zeros_like(distance)
+    gap = (distance > 0) & (np.round(distance % (size + GAP_SPACING), 6) < size)
+    return _level_cells(np.where(gap, -min(MAX_GAP_DEPTH, 2 * size), 0.0)), np.zeros_like(distance)
 
 
 def _stones(size: float, half: float, cell: float, _: np.random.Generator) -> Heights:
-    x, y = _middles(half, cell)
+    x, y = _cell_centers(half, cell)
     # The way ahead of the start is from stone to stone.
     shift = np.floor(np.round(size / 2 / GRID, 6)) * GRID
     on_stone = [np.round((one + shift) % (size + GAP), 6) < size for one in (x, y)]
     far = _distance(half, cell) > 0
-    depth = DEPTH * min(1.0, DEEPEST_STONES / size) ** 2
+    depth = MAX_GAP_DEPTH * min(1.0, MAX_DEPTH_STONE_SIDE / size) ** 2
     return _level_cells(np.where(far & ~(on_stone[0] & on_stone[1]), -depth, 0.0)), np.zeros_like(x)
 
 
@@ -205,8 +205,8 @@ def make_terrain(text: str, seed: int = 0) -> Ground:
         raise SurefootError(f"terrain is '{text}'; the size must be a number") from None
     kind = check_size(name, size)
     # The coarsest cells that have the terrain's edges between them.
-    cell = {"rough": ROUGH_CELL, "slope": START, "slope_down": START}.get(name, GRID if kind.multiple else CELL)
-    corners, course = kind.make(size, HALF, cell, np.random.default_rng(seed))
+    cell = {"rough": ROUGH_SPACING, "slope": START, "slope_down": START}.get(name, GRID if kind.multiple else CELL)
+    corners, course = kind.make(size, HALF_SIDE, cell, np.random.default_rng(seed))
     return Ground(corners, cell, course=course)
 
 
@@ -220,7 +220,7 @@ def read_map(path: Path) -> Ground:
         SurefootError: a map that is too large, too coarse, not finite, too high, or too uneven at the start.
     """
     if path.suffix.lower() == ".png":
-        heights, cell = _read_picture(path), PNG_CELL
+        heights, cell = _read_image(path), PNG_SPACING
     else:
         with prefix_errors(path):
             arrays = read_npz(path)
@@ -234,8 +234,8 @@ def read_map(path: Path) -> Ground:
         raise SurefootError(
             f"{path}: heights have the shape {heights.shape}; it must be (X, Y), 2 or more each, {MAX_POINTS} in all"
         )
-    if not 0.005 <= cell <= MAX_CELL:
-        raise SurefootError(f"{path}: cell is {cell:g} m; it must be 0.005 to {MAX_CELL:g}")
+    if not 0.005 <= cell <= MAX_MAP_SPACING:
+        raise SurefootError(f"{path}: cell is {cell:g} m; it must be 0.005 to {MAX_MAP_SPACING:g}")
     if not (np.abs(heights) <= MAX_HEIGHT).all():
         raise SurefootError(f"{path}: heights must be finite, and within {MAX_HEIGHT:g} m of 0")
     ground = Ground.from_points(heights, cell)
@@ -264,7 +264,7 @@ def _smooth(ground: Ground) -> Array:
     return course
 
 
-def _read_picture(path: Path) -> Array:
+def _read_image(path: Path) -> Array:
     from PIL import Image
 
     with describe_os_errors(path):

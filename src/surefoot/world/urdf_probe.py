@@ -34,11 +34,11 @@ def check_urdf(path: Path, limits: Limits = LIMITS) -> None:
         SurefootError: it can't be read or compiled.
     """
     if any(element.tag not in _OWN for element in read_xml(path).iter()):
-        _try(path, path.read_bytes(), limits)
+        _compile_confined(path, path.read_bytes(), limits)
 
 
 @functools.lru_cache(maxsize=64)
-def _try(path: Path, content: bytes, limits: Limits) -> None:
+def _compile_confined(path: Path, content: bytes, limits: Limits) -> None:
     """Compile a file in a process of its own; what it holds is the key of the results that are kept."""
     ending = sandbox.run_module(__name__, [str(path), str(limits.memory), str(limits.time)], limits)
     if ending.code == 2:

@@ -181,7 +181,7 @@ def test_both_programs_say_the_same(robot, where):
             bench.run(pause)
         assert one.mode == other.mode
         assert one.firmware.next_state == other.firmware.next_state
-        assert one.firmware.is_taken(one.now) == other.firmware.is_taken(one.now)
+        assert one.firmware.has_operator(one.now) == other.firmware.has_operator(one.now)
         assert len(one.sent) == len(other.sent)
         if one.order is not None:
             np.testing.assert_array_equal(one.order.values.astype(np.float32), other.order.values)

@@ -22,7 +22,7 @@ pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
 
 from surefoot.deploy.dds.dds_link import DdsLink, check_priority, make_config
-from surefoot.deploy.pacer import undisturbed
+from surefoot.deploy.pacer import real_time_priority
 
 DOMAIN = worker_domain(60)
 STEP = 0.01
@@ -39,7 +39,7 @@ def go2() -> RobotDescription:
 @pytest.fixture(scope="module", autouse=True)
 def punctual() -> Iterator[None]:
     """Keep the operator in time, as a deployment does: a busy computer must not make its commands late."""
-    with undisturbed():
+    with real_time_priority():
         yield
 
 
@@ -57,7 +57,7 @@ class Operator:
         self.link = DdsLink(make_config(robot, "lo", DOMAIN, (KP, KD)))
         self.link.connect()
         assert self.link.wait_for(lambda: self.link.states > 1, 2.0)
-        self.watcher, self.keeper = (child.pid for child in self.link.children)
+        self.watcher, self.supervisor = (child.pid for child in self.link.children)
 
     def arm(self) -> None:
         """Arm, as soon as the robot does."""
@@ -111,7 +111,7 @@ def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, 
     assert max(frame.jump for frame in frames) < 0.1
     rate = len(frames) / (frames[-1].time - frames[0].time)
     assert 450 < rate < 550
-    pids = [operator.watcher, operator.keeper]
+    pids = [operator.watcher, operator.supervisor]
     real_time = all(os.sched_getscheduler(pid) == os.SCHED_FIFO for pid in pids)
     assert check_priority(pids).passed is (True if real_time else None)
     assert check_priority([os.getppid()]).passed is None
@@ -136,11 +136,11 @@ def test_a_keeper_that_ends_or_stands_still(operator: Operator, body: Go2, how: 
     while time.monotonic() - body.read()[-1].time > 0.0007:
         pass
     ended = time.monotonic()
-    os.kill(operator.keeper, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+    os.kill(operator.supervisor, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
     first = body.wait_for(lambda frame: frame.damps, ended)
     assert first.time - ended < REACTION
     if how == "stands still":
-        os.kill(operator.keeper, signal.SIGCONT)
+        os.kill(operator.supervisor, signal.SIGCONT)
     time.sleep(0.2)
     frames = [frame for frame in body.read() if frame.time >= ended]
     assert all(frame.damps for frame in frames if frame.time >= first.time)

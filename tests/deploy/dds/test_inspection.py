@@ -14,7 +14,7 @@ import pytest
 
 from surefoot.check_result import CheckResult
 from surefoot.deploy.dds.low_level import LOW_STATE, Record, new_record
-from surefoot.deploy.pacer import undisturbed
+from surefoot.deploy.pacer import real_time_priority
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
@@ -22,7 +22,7 @@ pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
 
 from surefoot.deploy.dds import bus, inspection, motion_service, types
-from surefoot.deploy.dds.inspection import Inspection, Observation
+from surefoot.deploy.dds.inspection import Inspection, ReceivedMessages
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_messages.json").read_text())["low_state"]
 DOMAIN, EMPTY = worker_domain(80), worker_domain(100)
@@ -41,10 +41,10 @@ def recorded(tick: int = 0) -> Record:
     return record
 
 
-def observed(**changes: Any) -> Observation:
+def observed(**changes: Any) -> ReceivedMessages:
     """Return half a second of states at 500 Hz."""
     seen = {"time": 0.5, "records": [recorded(2 * k) for k in range(250)], "damaged": [], "commands": 0, "sport": 0}
-    return Observation(**{**seen, **changes})
+    return ReceivedMessages(**{**seen, **changes})
 
 
 def test_states_of_a_recorded_robot_pass() -> None:
@@ -138,7 +138,7 @@ def body() -> Iterator[Go2]:
 @pytest.fixture(scope="module")
 def listener(body: Go2) -> Iterator[Inspection]:
     """Listen in time, threads of the bus included: a busy computer must not make the robot's states late."""
-    with undisturbed(threads=True):
+    with real_time_priority(threads=True):
         here = bus.Bus("lo", DOMAIN)
         yield Inspection(here, "lo", DOMAIN)
         here.close()
@@ -188,7 +188,7 @@ def test_another_program_and_another_layout(listener: Inspection, body: Go2, mon
     body.reset()
     observe = Inspection.observe
 
-    def disturbed(self: Inspection, duration: float) -> Observation:
+    def disturbed(self: Inspection, duration: float) -> ReceivedMessages:
         seen = observe(self, duration)
         seen.commands = 3
         return seen
@@ -215,7 +215,7 @@ while time.monotonic() < end:
     other = subprocess.Popen([sys.executable, "-c", script, str(DOMAIN)])
     try:
         assert any(listener.observe(0.2).commands for _ in range(50))
-        (writer,) = listener._bus.writers_of(bus.LOW_COMMAND_TOPIC)
+        (writer,) = listener._bus.writer_names(bus.LOW_COMMAND_TOPIC)
         assert f"(process {other.pid} on " in writer
     finally:
         other.kill()

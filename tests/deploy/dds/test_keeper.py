@@ -12,10 +12,10 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from surefoot.deploy.dds import keeper, low_level
+from surefoot.deploy.dds import supervisor, low_level
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC
 from surefoot.deploy.dds.dds_link import FIRST_TORQUE, make_config
-from surefoot.deploy.dds.keeper import DAMPED, PERIOD, WATCHER_SILENCE, Keeper
+from surefoot.deploy.dds.supervisor import DAMPED, PERIOD, WATCHDOG_SILENCE, Supervisor
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.dds.state_monitor import LATE, MOTORS
 from surefoot.deploy.messages import Arm, Fault, Hello, Message, Mode, Ping, Position, Reason, State
@@ -92,7 +92,7 @@ class Bench:
         self._decoder = Decoder(self._codec)
         config = make_config(RobotDescription.load("go2"), "lo", 0, (KP, KD))
         ends = SocketPort(loop, "the loop"), SocketPort(beats, "the watcher")
-        self.keeper = Keeper(config, self, *ends)  # type: ignore[arg-type]
+        self.supervisor = Supervisor(config, self, *ends)  # type: ignore[arg-type]
 
     # What the keeper takes for a bus and for a writer.
 
@@ -176,8 +176,8 @@ class Bench:
     def run(self, until: int = 1_000_000) -> None:
         """Run until the loop closes [us], and the keeper has ended."""
         self.at(until, self.loop.close)
-        with mock.patch.object(keeper, "time", self), mock.patch.object(keeper, "select", mock.Mock(select=self.wait)):
-            self.keeper.run()
+        with mock.patch.object(supervisor, "time", self), mock.patch.object(supervisor, "select", mock.Mock(select=self.wait)):
+            self.supervisor.run()
 
     def received(self, kind: type[Message]) -> list[Any]:
         """Return the loop's packets of a kind."""
@@ -260,11 +260,11 @@ def hush_loop(bench: Bench) -> None:
     bench.loop_silent = True
 
 
-def hush_watcher(bench: Bench) -> None:
+def hush_watchdog(bench: Bench) -> None:
     bench.watcher_silent = True
 
 
-def kill_watcher(bench: Bench) -> None:
+def kill_watchdog(bench: Bench) -> None:
     bench.watcher.close()
 
 
@@ -295,8 +295,8 @@ def switch_motor_off(bench: Bench) -> None:
         (publish_sport, Reason.OWN_CONTROLLER, "messages on rt/sportmodestate", 0, 6 * PERIOD),
         (name_controller, Reason.OWN_CONTROLLER, "the robot's own controller 'mcf' is active", 0, 6 * PERIOD),
         (command_from_elsewhere, Reason.OTHER_PROGRAM, "another program commands the motors", 0, 6 * PERIOD),
-        (kill_watcher, Reason.WATCHER, "the watcher process has ended or hangs", 0, 4 * PERIOD),
-        (hush_watcher, Reason.WATCHER, "", WATCHER_SILENCE, WATCHER_SILENCE + 6 * PERIOD),
+        (kill_watchdog, Reason.WATCHER, "the watcher process has ended or hangs", 0, 4 * PERIOD),
+        (hush_watchdog, Reason.WATCHER, "", WATCHDOG_SILENCE, WATCHDOG_SILENCE + 6 * PERIOD),
     ],
 )
 def test_a_fault_damps_in_time(
@@ -312,7 +312,7 @@ def test_a_fault_damps_in_time(
 
 
 def test_a_stick_of_the_remote_control_asks_to_sit_and_does_not_damp(bench: Bench) -> None:
-    stick = low_level.Remote(frozenset(), 0.8, 0.0, 0.0, 0.0).encode()
+    stick = low_level.RemoteControl(frozenset(), 0.8, 0.0, 0.0, 0.0).encode()
     bench.at(EVENT, lambda: bench.state.__setitem__("wireless_remote", stick))
     bench.run(until=2 * EVENT)
     state = bench.received(State)[-1].message

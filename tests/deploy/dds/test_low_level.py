@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surefoot.deploy.dds import low_level
-from surefoot.deploy.dds.low_level import LOW_COMMAND, LOW_STATE, BadMessageError, Remote
+from surefoot.deploy.dds.low_level import LOW_COMMAND, LOW_STATE, BadMessageError, RemoteControl
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_messages.json").read_text())
 KINDS = {"low_state": LOW_STATE, "low_cmd": LOW_COMMAND}
@@ -115,10 +115,10 @@ def test_bytes_and_checksums_are_those_of_the_vendors_classes(kind: np.dtype, na
 
 def test_the_remotes_bytes() -> None:
     data = np.zeros(40, np.uint8)
-    assert Remote.decode(data) == Remote(frozenset(), 0.0, 0.0, 0.0, 0.0)
+    assert RemoteControl.decode(data) == RemoteControl(frozenset(), 0.0, 0.0, 0.0, 0.0)
     data[2:4] = 0b00100000, 0b00000010  # bit 5: L2, bit 9: B
     data[4:8] = np.frombuffer(np.float32(-0.5).tobytes(), np.uint8)
     data[20:24] = np.frombuffer(np.float32(1.0).tobytes(), np.uint8)
-    remote = Remote.decode(data)
-    assert remote == Remote(frozenset({"L2", "B"}), -0.5, 1.0, 0.0, 0.0)
+    remote = RemoteControl.decode(data)
+    assert remote == RemoteControl(frozenset({"L2", "B"}), -0.5, 1.0, 0.0, 0.0)
     assert np.array_equal(remote.encode(), data)

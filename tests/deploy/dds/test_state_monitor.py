@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from surefoot.deploy.board.signals import Vitals
-from surefoot.deploy.dds.low_level import LOW_STATE, Record, Remote, encode, new_record
-from surefoot.deploy.dds.state_monitor import LATE, LATE_LOOKS, LOST_RISE, SHOWN, StateMonitor
+from surefoot.deploy.dds.low_level import LOW_STATE, Record, RemoteControl, encode, new_record
+from surefoot.deploy.dds.state_monitor import LATE, MIN_POLLS, MAX_LOST, SHOWN, StateMonitor
 from surefoot.deploy.messages import Reason
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_messages.json").read_text())["low_state"]
@@ -131,7 +131,7 @@ def test_states_that_repeat(bench: Bench) -> None:
 def test_a_reader_that_was_held_up_itself_looks_before_it_judges(bench: Bench) -> None:
     bench.run(0.1)
     bench.now += 5 * LATE
-    for _ in range(LATE_LOOKS - 1):
+    for _ in range(MIN_POLLS - 1):
         bench.now += STEP
         bench.monitor.take(bench.now, [])
         assert bench.monitor.vitals(bench.now).hazard is None
@@ -196,7 +196,7 @@ def test_a_motor_whose_messages_are_lost(bench: Bench) -> None:
         hazard = bench.run(0.002).hazard
     assert hazard[0] == Reason.MOTOR_OFF
     assert "FL_hip_joint has lost 10 messages" in hazard[1]
-    assert LOST_RISE <= count < 2 * LOST_RISE  # the count begins anew five times a second
+    assert MAX_LOST <= count < 2 * MAX_LOST  # the count begins anew five times a second
 
 
 def test_messages_of_a_motor_that_are_lost_now_and_then(bench: Bench) -> None:
@@ -207,7 +207,7 @@ def test_messages_of_a_motor_that_are_lost_now_and_then(bench: Bench) -> None:
 
 def test_the_remote_control(bench: Bench) -> None:
     def press(*buttons: str, stick: float = 0.0) -> Vitals:
-        bench.state["wireless_remote"] = Remote(frozenset(buttons), 0.0, 0.0, stick, 0.0).encode()
+        bench.state["wireless_remote"] = RemoteControl(frozenset(buttons), 0.0, 0.0, stick, 0.0).encode()
         return bench.run(0.002)
 
     assert press("L2").hazard is None

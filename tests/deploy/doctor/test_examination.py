@@ -19,14 +19,14 @@ from surefoot.check_result import CheckResult
 from surefoot.deploy.doctor import rack_check
 from surefoot.deploy.doctor.doctor_motion import DoctorMotion, MotionStoppedError
 from surefoot.deploy.doctor.examination import check_computer, examine, time_inference
-from surefoot.deploy.doctor.link_check import LinkFigures, check_link, clock_rate, measure_bursts, measure_link
+from surefoot.deploy.doctor.link_check import LinkMetrics, check_link, clock_rate, measure_bursts, measure_link
 from surefoot.deploy.doctor.rack_check import MotorStep, check_motors, check_response
 from surefoot.deploy.doctor.rest_check import TimedState, check_rest
 from surefoot.deploy.doctor.step_response import fit_response
 from surefoot.deploy.doctor.tilt_check import TiltReading, check_tilts, read_tilt
 from surefoot.deploy.messages import Mode, Packet, Pong, State
 from surefoot.deploy.poses import sitting_pose
-from surefoot.deploy.robot_link import Arrival, RobotLink
+from surefoot.deploy.robot_link import ReceivedPacket, RobotLink
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -81,12 +81,12 @@ def test_the_clock_rate_is_independent_of_delays(rng: np.random.Generator):
     assert clock_rate(np.zeros(2), np.zeros(2)) == 1.0
 
 
-def figures(trips: Any = 0.001, **changed: Any) -> LinkFigures:
+def figures(trips: Any = 0.001, **changed: Any) -> LinkMetrics:
     plain = {"lost": 0, "damaged": 0, "missing": 0, "unsent": 0, "burst": 1.0, "gap": 0.005, "clock_rate": 1.0}
-    return LinkFigures(np.broadcast_to(trips, 200).astype(float), **(plain | changed))
+    return LinkMetrics(np.broadcast_to(trips, 200).astype(float), **(plain | changed))
 
 
-def link_failures(measured: LinkFigures) -> dict[str, CheckResult]:
+def link_failures(measured: LinkMetrics) -> dict[str, CheckResult]:
     results = check_link(measured, lead=0.003, control_step=0.006, lockstep=False)
     return failures(results, "link, losses", "link, bursts", "link, round trip", "robot's clock")
 
@@ -108,7 +108,7 @@ def test_a_good_link_passes():
         (figures(clock_rate=1.02), "robot's clock", "runs 2.00% too fast"),
     ],
 )
-def test_a_bad_link_fails(measured: LinkFigures, check: str, why: str):
+def test_a_bad_link_fails(measured: LinkMetrics, check: str, why: str):
     failed = link_failures(measured)
     assert list(failed) == [check]
     assert why in failed[check].message
@@ -127,7 +127,7 @@ def test_lost_pings_are_counted(link: RobotLink, toy: Any):
     assert measure_link(link, 20).lost == 20
 
 
-class Gathering:
+class BufferedLink:
     """A link in real time on a clock of its own, whose adapter hands the answers on every 16 ms."""
 
     lockstep, every = False, 0.016
@@ -135,8 +135,8 @@ class Gathering:
     def __init__(self) -> None:
         self.clock, self.time = self, 0.0
         self.statistics = SimpleNamespace(damaged=0, missing=0, unsent=0)
-        self.pongs: dict[int, Arrival] = {}
-        self._sent: dict[int, Arrival] = {}
+        self.pongs: dict[int, ReceivedPacket] = {}
+        self._sent: dict[int, ReceivedPacket] = {}
 
     def now(self) -> float:
         return self.time
@@ -144,7 +144,7 @@ class Gathering:
     def ping(self) -> int:
         token = len(self._sent) + 1
         handed_on = self.every * np.ceil(self.time / self.every + 1e-9)
-        self._sent[token] = Arrival(Packet(Pong(token), token, self.time), handed_on)
+        self._sent[token] = ReceivedPacket(Packet(Pong(token), token, self.time), handed_on)
         return token
 
     def wait(self, seconds: float) -> None:
@@ -156,7 +156,7 @@ class Gathering:
 
 
 def test_an_adapter_that_gathers_bytes_fails() -> None:
-    measured = measure_link(Gathering(), 160)  # type: ignore[arg-type]
+    measured = measure_link(BufferedLink(), 160)  # type: ignore[arg-type]
     assert (measured.lost, measured.burst, measured.gap) == (0, pytest.approx(16 / 5), pytest.approx(0.016))
     assert measured.round_trips.max() == pytest.approx(0.016)
     failed = link_failures(measured)

@@ -135,10 +135,10 @@ def test_a_port_that_does_not_exist_is_an_error(tmp_path):
 
 def test_ping_through_waits_for_the_pong_and_keeps_other_packets(toy):
     link = SerialLink(toy, CODEC, MonotonicClock(), 7)
-    assert link.ping_through((1.0,))
+    assert link.await_pong((1.0,))
     assert [type(arrival.packet.message) for arrival in link.receive()] == [Pong]
     toy.silent = True
-    assert not link.ping_through((0.01,))
+    assert not link.await_pong((0.01,))
 
 
 def test_in_lockstep_packets_are_received_where_time_passes(toy):
@@ -168,9 +168,9 @@ def test_in_lockstep_a_command_goes_with_the_next_ping(toy):
 def test_a_repeated_ping_takes_no_number(toy):
     link = SerialLink(toy, CODEC, LockstepClock(), 7)
     toy.silent = True
-    assert not link.ping_through((0.01, 0.01, 0.01))
+    assert not link.await_pong((0.01, 0.01, 0.01))
     assert [message for _, message in toy.received] == 3 * [Ping(1)]
     assert link.statistics.sent == 1
     toy.silent = False
-    assert link.ping_through((1.0,))
+    assert link.await_pong((1.0,))
     assert link.statistics.sent == 2

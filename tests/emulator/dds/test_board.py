@@ -12,7 +12,7 @@ from emulated_go2 import FOLDED, GO2, STANDING, Robot, Wire
 
 from surefoot.deploy.dds import low_level
 from surefoot.deploy.dds.low_level import POS_STOP, VEL_STOP
-from surefoot.emulator.dds.board import Go2Board, read_order
+from surefoot.emulator.dds.board import Go2Board, read_joint_command
 from surefoot.emulator.plant import Plant
 
 
@@ -20,7 +20,7 @@ def order(**fields: object) -> object:
     command = low_level.new_command()
     for name, value in fields.items():
         command["motor_cmd"][name][0] = value
-    return read_order(command, 12)
+    return read_joint_command(command, 12)
 
 
 def test_the_vendors_words_for_no_angle_and_no_speed_leave_terms_out() -> None:

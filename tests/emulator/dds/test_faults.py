@@ -10,7 +10,7 @@ pytest.importorskip("cyclonedds")
 
 from emulated_go2 import GO2, STANDING, Robot
 
-from surefoot.deploy.dds.low_level import Remote
+from surefoot.deploy.dds.low_level import RemoteControl
 from surefoot.emulator.fault_table import FAULTS
 
 TESTED = {
@@ -128,9 +128,9 @@ def test_others_who_command_and_a_hand_at_the_remote_control() -> None:
     back = run("service-back=0.1")
     assert back.controller.name == "mcf"
     assert len(back.wire.published) == pytest.approx(100, abs=3)
-    stop = Remote.decode(run("remote-stop=0.1").wire.state["wireless_remote"])
+    stop = RemoteControl.decode(run("remote-stop=0.1").wire.state["wireless_remote"])
     assert stop.buttons == {"L2", "B"}
-    assert Remote.decode(run("remote-stick=0.1").wire.state["wireless_remote"]).left_y == pytest.approx(0.8)
+    assert RemoteControl.decode(run("remote-stick=0.1").wire.state["wireless_remote"]).left_y == pytest.approx(0.8)
     assert not run("remote-stick=9").wire.state["wireless_remote"].any()
 
 

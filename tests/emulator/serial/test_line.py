@@ -11,13 +11,13 @@ import pytest
 from surefoot.deploy.messages import Ping
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
-from surefoot.emulator.fault_table import HARMS
+from surefoot.emulator.fault_table import LINE_FAULTS
 from surefoot.emulator.serial.line import Line
 
 
-def line(chances: dict[str, float] | None = None, **config: float) -> Line:
+def line(probabilities: dict[str, float] | None = None, **config: float) -> Line:
     made = Line(np.random.default_rng(5), **config)
-    made.chances = chances or {}
+    made.probabilities = probabilities or {}
     return made
 
 
@@ -66,7 +66,7 @@ def test_a_cut_line_loses_bytes_in_transit():
     assert arrivals(pulled) == []
 
 
-@pytest.mark.parametrize("harm", HARMS)
+@pytest.mark.parametrize("harm", LINE_FAULTS)
 def test_each_harm_strikes_at_its_rate_and_only_its_own_frames(harm):
     codec = Codec(8)
     struck, decoder, received, count = line({harm: 0.2}), Decoder(codec), [], 2000
@@ -94,7 +94,7 @@ def test_each_harm_strikes_at_its_rate_and_only_its_own_frames(harm):
 
 def test_the_same_generator_does_the_same_again():
     def run() -> list[tuple[int, bytes]]:
-        again = line(dict.fromkeys(HARMS, 0.1))
+        again = line(dict.fromkeys(LINE_FAULTS, 0.1))
         for number in range(300):
             again.send(number, b"\0" + bytes([number % 255 + 1] * 20) + b"\0")
         return arrivals(again)

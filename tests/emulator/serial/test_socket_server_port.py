@@ -34,11 +34,11 @@ def host(robot: SocketServerPort) -> SocketPort:
 
 
 def test_bytes_go_both_ways_and_a_host_may_come_back(robot: SocketServerPort) -> None:
-    assert robot.deserted()
+    assert robot.has_no_host()
     for _ in range(2):
         port = host(robot)
         assert port.read() == b"\0"
-        assert not robot.deserted()
+        assert not robot.has_no_host()
         assert not robot.wait(0.0)
         port.write(b"command")
         assert robot.wait(1.0)
@@ -49,7 +49,7 @@ def test_bytes_go_both_ways_and_a_host_may_come_back(robot: SocketServerPort) ->
         port.close()
         assert robot.wait(1.0)
         assert robot.read() == b""
-        assert robot.deserted()
+        assert robot.has_no_host()
         robot.write(b"to nobody")
 
 

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.identify.ground.motion import (
-    LEVELLING,
+    TILT_TIME_CONSTANT,
     STEP,
     GroundMotion,
     _filter_tilt,
@@ -70,7 +70,7 @@ def test_tilt_has_no_mean_error_from_a_biased_gyro():
     # Drawn back with a time constant T, an error of the rate b leaves an angle of b T (1 - exp(-t / T)), less its mean.
     time, bias = np.arange(0.0, 6.0, STEP), 0.01
     estimate = _filter_tilt(np.zeros((len(time), 2)), np.full((len(time), 2), bias))
-    expected = bias * LEVELLING * (1 - np.exp(-(time + STEP) / LEVELLING))
+    expected = bias * TILT_TIME_CONSTANT * (1 - np.exp(-(time + STEP) / TILT_TIME_CONSTANT))
     np.testing.assert_allclose(estimate[:, 0], expected - expected.mean(), atol=1e-4)
     assert abs(estimate[:, 0].mean()) < 1e-12
 

@@ -11,13 +11,13 @@ pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Fit
-from surefoot.identify.motion.foresight import foresee
-from surefoot.identify.motion.priors import default_names, gains_are_commanded, priors_of
+from surefoot.identify.motion.foresight import predict_accuracy
+from surefoot.identify.motion.priors import default_names, gains_are_commanded, robot_priors
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
 from surefoot.identify.motion.robot_unknowns import CLOCK, considered_unknowns, robot_params, robot_unknowns
-from surefoot.identify.motion.words import describe_unknown
+from surefoot.identify.motion.words import describe_ambiguities
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import Identification
 from surefoot.identify.robot_params_file import check_new_logs, overlay, read_gains
@@ -153,14 +153,14 @@ def test_priors_belong_to_robots(go2: RobotDescription, pupper: RobotDescription
     assert gains_are_commanded(go2)
     assert not gains_are_commanded(pupper)
     # A Pupper's gains are on its own board, a Go2's may be anything.
-    assert (priors_of(pupper)["servo_kp"].deviation, priors_of(go2)["servo_kp"].deviation) == (0.1, 1.0)
+    assert (robot_priors(pupper)["servo_kp"].deviation, robot_priors(go2)["servo_kp"].deviation) == (0.1, 1.0)
     assert "damping_ratio" in default_names(pupper, False)
     assert "servo_kd" not in default_names(pupper, False)
     assert {"servo_kd", "viscous_ratio", "inertia_ratio"} <= set(default_names(go2, True))
     assert not {"contact_friction", "base_offset", "damping_ratio"} & set(default_names(go2, True))
     wrong = replace(go2, priors={"servo_kpp": 1.0})
     with pytest.raises(SurefootError, match=r"priors.servo_kpp of go2 is unknown; did you mean servo_kp"):
-        priors_of(wrong)
+        robot_priors(wrong)
 
 
 def test_kinds_of_joints_share_a_number_and_motors_have_ratios(go2: RobotDescription, nominal: PhysicalParams):
@@ -187,7 +187,7 @@ def test_computed_times_widen_the_intervals(go2: RobotDescription, nominal: Phys
 
 def test_foresight_tells_what_a_log_would_tell(go2: RobotDescription, truth: PhysicalParams, hanging: RecordedMotion):
     short = hanging.until(2.0)
-    unknown, known = (foresee(go2, [short], truth, names) for names in ((), ("servo_kp", "servo_kd")))
+    unknown, known = (predict_accuracy(go2, [short], truth, names) for names in ((), ("servo_kp", "servo_kd")))
     kd = next(item for item in unknown.estimates if item.name == "servo_kd")
     assert kd.interval[0] < KD < kd.interval[1]
     assert any("servo_kd and motor_viscous_friction are one number" in text for text in unknown.sentences)
@@ -199,7 +199,7 @@ def test_foresight_keeps_a_known_gain_that_a_sheet_has_by_its_ratio(pupper: Robo
     command = np.tile([0.0, 0.6, -1.2] * 4, (len(time), 1))
     command[:, 1] += 0.3 * np.sin(9 * time)
     motion = RecordedMotion("plan", time, command, time, rack=True)
-    unknown, known = (foresee(pupper, [motion], PhysicalParams.nominal(pupper), names) for names in ((), ("servo_kd",)))
+    unknown, known = (predict_accuracy(pupper, [motion], PhysicalParams.nominal(pupper), names) for names in ((), ("servo_kd",)))
     assert {"servo_kp", "servo_kd"} <= {item.name for item in unknown.estimates}
     names = {item.name for item in known.estimates}
     assert "servo_kp" in names
@@ -214,7 +214,7 @@ def test_exchanged_numbers_are_named_with_their_sum(go2: RobotDescription, nomin
     covariance = 0.09 * np.outer(direction, direction) + np.diag([1e-4, 0, 0, 0])
     fit = Fit(unknowns, values, covariance, np.zeros(1), np.zeros((1, 4)))
     params = robot_params(nominal, unknowns, values[None])
-    (text,) = describe_unknown(go2, fit, params)
+    (text,) = describe_ambiguities(go2, fit, params)
     assert text.startswith(
         "servo_kd and motor_viscous_friction are one number in these logs: their sum is 1.7 (1.68 to 1.72) N m s/rad"
     )
@@ -223,8 +223,8 @@ def test_exchanged_numbers_are_named_with_their_sum(go2: RobotDescription, nomin
     values, covariance = np.array([u.start for u in unknowns]), np.diag([1e-4] * 4)
     apart = Fit(unknowns, values, covariance, np.zeros(1), np.zeros((1, 4)))
     params = robot_params(nominal, unknowns, values[None])
-    assert describe_unknown(go2, apart, params) == ()
+    assert describe_ambiguities(go2, apart, params) == ()
     exchanged = covariance - 0.99e-4 * np.outer([1, 1, 1, 0], [0, 0, 0, 1]) * np.sqrt(1 / 3)
     exchanged[3] = exchanged[:, 3]
-    (text,) = describe_unknown(go2, replace(apart, covariance=exchanged), params)
+    (text,) = describe_ambiguities(go2, replace(apart, covariance=exchanged), params)
     assert text.startswith("rotor_inertia and control_latency are hardly told apart by these logs (correlation -0.99)")

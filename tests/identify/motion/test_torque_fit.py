@@ -105,7 +105,7 @@ def record(
     )
 
 
-def read_badly(trace: EpisodeTrace, seed: int) -> EpisodeTrace:
+def add_noise(trace: EpisodeTrace, seed: int) -> EpisodeTrace:
     """The trace with the emulator's noise; torques' gains are drawn by the hundreds of the seed."""
     rng, gains = np.random.default_rng(seed), np.random.default_rng(seed // 100)
     shape, encoder = trace.motor_angle.shape, 2 * np.pi / 2**14
@@ -138,7 +138,7 @@ def cut(trace: EpisodeTrace, *kept: slice) -> EpisodeTrace:
 
 
 @lru_cache(maxsize=1)
-def found_clean() -> Identification:
+def clean_result() -> Identification:
     """Readings of the recording without noise."""
     return fit_torques(ROBOT, [clean()], BATTERY_KNOWN, AT_15_V)
 
@@ -154,7 +154,7 @@ def errors_of(result: Identification, params: PhysicalParams = HIDDEN) -> dict[s
 
 
 def test_clean_traces_give_the_true_parameters() -> None:
-    result = found_clean()
+    result = clean_result()
     errors = errors_of(result)
     assert len(errors) == 12
     assert all(item.identifiable for item in result.estimates)
@@ -179,7 +179,7 @@ def test_gains_are_identified_when_named() -> None:
 def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
     hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=1.15, contact_friction=0.7)
     traces = [
-        read_badly(record(hidden, 4.0, trotting, rack=False, start=0.1 * k, date=f"2026-11-2{k}"), 700 + k)
+        add_noise(record(hidden, 4.0, trotting, rack=False, start=0.1 * k, date=f"2026-11-2{k}"), 700 + k)
         for k in range(3)
     ]
     result = fit_torques(ROBOT, traces, None, NOMINAL)
@@ -240,7 +240,7 @@ def test_a_motor_at_its_limit_identifies_its_strength_alone() -> None:
 def test_a_part_of_one_trace_or_whole_traces_are_held_out() -> None:
     both = fit_torques(ROBOT, [clean(), record(start=2.0)], BATTERY_KNOWN, AT_15_V)
     assert max(map(abs, errors_of(both).values())) < 0.01
-    alone = found_clean()
+    alone = clean_result()
     assert alone.series[0].x[0] > 0.7 * 4.0
     assert both.series[0].x[0] < 0.2
     assert both.digest != alone.digest
@@ -291,7 +291,7 @@ def test_a_walk_identifies_the_mass_of_the_base() -> None:
     hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=ratio, leg_mass_ratio=1.1)
     prior = AT_15_V.with_values(ROBOT, leg_mass_ratio=1.1)
     walk = record(hidden, 6.0, trotting, rack=False)
-    result = fit_torques(ROBOT, [read_badly(walk, 300)], NAMES, prior)
+    result = fit_torques(ROBOT, [add_noise(walk, 300)], NAMES, prior)
     mass = result.estimate("base_mass_ratio")
     low, high = mass.interval
     assert low < ratio < high

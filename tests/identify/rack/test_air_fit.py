@@ -16,7 +16,7 @@ from surefoot.deploy.links import open_link
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.motion.replay_errors import replay_motion
-from surefoot.identify.rack.air_fit import motion_of_phases
+from surefoot.identify.rack.air_fit import motion_from_phases
 from surefoot.identify.rack.air_plan import air_plan
 from surefoot.identify.recording import COMPLETE, Recording
 from surefoot.identify.replay import Replayer
@@ -59,7 +59,7 @@ def test_the_recording_states_the_gains_of_the_robot(go2: RobotDescription, reco
 
 @pytest.mark.parametrize("use", ["fit", "check"])
 def test_a_replay_repeats_the_recording(go2: RobotDescription, recording: Recording, use: str):
-    motion = motion_of_phases(recording, use)
+    motion = motion_from_phases(recording, use)
     assert motion.rack
     assert np.ptp(motion.time) == pytest.approx(2.0, abs=0.1)
     assert motion.moving.all()

@@ -15,7 +15,7 @@ from surefoot.identify.rack.fits import RACK_TILT, VOLTAGE_DEVIATION, estimate_i
 from surefoot.identify.recording import Recording
 
 PERIOD, EVERY, SPIKES, MOTORS = 0.002, 0.12, 12, 8
-WAY = 0.0013
+TRANSMISSION_TIME = 0.0013
 """Time that a command takes to come [s]; states take as long to go."""
 STEP = 2 * np.pi / 2**14
 
@@ -30,7 +30,7 @@ def answered(age: float, speed: float = 5.0, moving: int = MOTORS, noise: float 
     count = round(SPIKES * EVERY / PERIOD)
     sent = 0.5 + PERIOD * np.arange(count)
     # The servo's next step begins when the robot's clock shows a multiple of 1 ms: a spike acts from there.
-    came = sent + WAY
+    came = sent + TRANSMISSION_TIME
     value = np.zeros((count, MOTORS))
     driven = np.arange(0, count, round(EVERY / PERIOD))
     height = 0.4 * np.where(np.arange(MOTORS) % 2 == 0, 1.0, -1.0) * np.where(np.arange(MOTORS) < moving, 1.0, 0.0)

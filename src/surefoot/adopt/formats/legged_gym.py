@@ -46,14 +46,14 @@ _DEFAULT_KEYS = (
     *("env.episode_length_s", "sim.substeps", "sim.gravity", "sim.up_axis"),
 )
 """legged_gym's keys that change neither observations nor actions of a policy."""
-_JUDGED = ("control", "init_state", "normalization", "commands", "env", "sim")
+_POLICY_SECTIONS = ("control", "init_state", "normalization", "commands", "env", "sim")
 """Sections whose unread keys are named."""
 _SECTIONS = (
-    *_JUDGED,
+    *_POLICY_SECTIONS,
     *("terrain", "asset", "domain_rand", "rewards", "noise", "viewer", "policy", "algorithm", "runner"),
 )
 """Classes of legged_gym's configurations of an environment and of its learner."""
-_WITHOUT_SPEED = 45
+_NUM_INPUTS = 45
 """Numbers of an observation without the speed of the base: angular velocity, gravity, commands, joints, last action."""
 
 
@@ -77,14 +77,14 @@ def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> Pol
             near = [nearest(key.rpartition(".")[2], [one.rpartition(".")[2] for one in found]) for key in missing]
             hints = [f"{key}{f' (did you mean {one}?)' if one else ''}" for key, one in zip(missing, near, strict=True)]
             raise SurefootError(f"{', '.join(hints)} {'is' if len(missing) == 1 else 'are'} missing")
-        if _known(values, "control.control_type") != "P":
+        if _literal(values, "control.control_type") != "P":
             raise SurefootError(f"control_type is {quote(values['control.control_type'])}; P alone can be adopted")
         joints = _isaac_gym_order(robot)
-        count = int(_number(values, "env.num_observations")) if "env.num_observations" in values else _WITHOUT_SPEED
-        if count != _WITHOUT_SPEED:
+        count = int(_number(values, "env.num_observations")) if "env.num_observations" in values else _NUM_INPUTS
+        if count != _NUM_INPUTS:
             raise SurefootError(
-                f"num_observations is {count}; legged_gym's own {_WITHOUT_SPEED + 3} begin with the speed of the base, "
-                f"which no sensor gives. {_WITHOUT_SPEED} can be adopted: angular velocity, gravity, commands, joint "
+                f"num_observations is {count}; legged_gym's own {_NUM_INPUTS + 3} begin with the speed of the base, "
+                f"which no sensor gives. {_NUM_INPUTS} can be adopted: angular velocity, gravity, commands, joint "
                 "positions and speeds, last action; for any other observation, use --from manual"
             )
         scales = {
@@ -151,7 +151,7 @@ def _unread_keys(found: Mapping[str, Any]) -> list[str]:
     for key, value in found.items():
         section, _, name = key.partition(".")
         shown = value.text if isinstance(value, Computed) else value
-        if section in _JUDGED and not key.startswith("sim.physx."):
+        if section in _POLICY_SECTIONS and not key.startswith("sim.physx."):
             judged[key] = shown
         elif name and section not in _SECTIONS:
             sections[section] = "a class"
@@ -164,7 +164,7 @@ def _isaac_gym_order(robot: RobotDescription) -> tuple[str, ...]:
     return tuple(motor for leg in legs for motor in leg.motors)
 
 
-def _known(values: Mapping[str, Any], key: str) -> Any:
+def _literal(values: Mapping[str, Any], key: str) -> Any:
     """Return a value; refuse one that is computed."""
     value = values.get(key)
     if isinstance(value, Computed):
@@ -173,14 +173,14 @@ def _known(values: Mapping[str, Any], key: str) -> Any:
 
 
 def _number(values: Mapping[str, Any], key: str) -> float:
-    value = _known(values, key)
+    value = _literal(values, key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SurefootError(f"{key} is {'missing' if value is None else quote(value)}; it must be a number")
     return float(value)
 
 
 def _pair(values: Mapping[str, Any], key: str) -> Range:
-    value = _known(values, key)
+    value = _literal(values, key)
     if not isinstance(value, list | tuple) or len(value) != 2 or not all(isinstance(x, int | float) for x in value):
         raise SurefootError(f"{key} is {quote(value)}; it must be two numbers")
     return float(value[0]), float(value[1])
@@ -188,7 +188,7 @@ def _pair(values: Mapping[str, Any], key: str) -> Range:
 
 def _joint_value(values: Mapping[str, Any], key: str, joint: str, whole: bool = False) -> float:
     """Return the value of a joint in a table: under its own name or, in tables of gains, under a part of it."""
-    table = _known(values, key)
+    table = _literal(values, key)
     if not isinstance(table, dict):
         raise SurefootError(f"{key} is {'missing' if table is None else quote(table)}; it must be a table of joints")
     found = [value for name, value in table.items() if name == joint or (not whole and str(name) in joint)]

@@ -61,7 +61,7 @@ def read_classes(source: bytes, sections: tuple[str, ...]) -> dict[str, Any]:
             _visit(item.body, f"{item.name}." if item.name in sections else "", 0, module, values)
         else:
             _assign(item, "", {}, module, {}, module)
-            values.update(_from_outside(item, module))
+            values.update(_attribute_assignments(item, module))
     return values
 
 
@@ -90,7 +90,7 @@ def _assign(item: ast.stmt, prefix: str, own: Scope, module: Scope, values: dict
     values.update({f"{prefix}{name}": value for name, value in names.items()})
 
 
-def _from_outside(item: ast.stmt, module: Scope) -> dict[str, Any]:
+def _attribute_assignments(item: ast.stmt, module: Scope) -> dict[str, Any]:
     """Return what a statement of the outermost level assigns to attributes, such as `Config.control.decimation = 4`."""
     found = {}
     for one in ast.walk(item):

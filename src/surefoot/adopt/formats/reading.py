@@ -27,7 +27,7 @@ _UNREAD = 12
 """Keys that a note names at most."""
 
 
-def why_unmeasured(name: object) -> str | None:
+def unmeasured_reason(name: object) -> str | None:
     """Return why no robot gives an observation, by its name; None if its name does not say so."""
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", str(name)[:200]).lower().replace(" ", "_").replace("-", "_")
     for pattern, reason in _UNMEASURED.items():
@@ -43,7 +43,7 @@ def unknown_term(name: object, known: Iterable[str]) -> SurefootError:
         name: its name.
         known: names of observations that can be.
     """
-    if reason := why_unmeasured(name):
+    if reason := unmeasured_reason(name):
         return SurefootError(f"observation {quote(name)} {reason}; such a policy can't be adopted")
     return SurefootError(f"observation {quote(name)} is unknown; known are {choices(known)}")
 
@@ -102,7 +102,7 @@ def plain_joint_name(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", re.sub(r"joint|controller", "", name.lower()))
 
 
-def matched_joints(joints: Iterable[str], motors: Iterable[str]) -> tuple[str, ...] | None:
+def match_joints(joints: Iterable[str], motors: Iterable[str]) -> tuple[str, ...] | None:
     """Return the robot's names of a policy's joints, if these differ only by what frameworks add; else None."""
     plain: dict[str, list[str]] = {}
     for motor in motors:

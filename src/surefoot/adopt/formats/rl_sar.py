@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from surefoot.adopt.formats.reading import field_names, matched_joints, pick, unknown_term, unread, unread_note
+from surefoot.adopt.formats.reading import field_names, match_joints, pick, unknown_term, unread, unread_note
 from surefoot.adopt.specification import ObservationTerm, PerJoint, PolicySpecification, TermName
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors
@@ -37,7 +37,7 @@ _HARMLESS = (
     *("action_scale_wheel", "stiffness", "damping"),
 )
 """Keys that change neither observations nor actions, or that are read as others."""
-_BEFORE_3 = "framework"
+_OLD_FORMAT_KEY = "framework"
 """Key of files before version 3."""
 
 
@@ -80,15 +80,15 @@ def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> Pol
     Raises:
         SurefootError: files without what is needed, or an observation that is not known.
     """
-    own = _only_table(config)
+    own = _single_table(config)
     bases = [folder / "base.yaml" for folder in (config.parent, config.parent.parent)]
-    base = next((_only_table(path) for path in bases if path.is_file() and path != config), {})
+    base = next((_single_table(path) for path in bases if path.is_file() and path != config), {})
     with prefix_errors(config):
-        data, notes = {**base, **own, **_given_keys(given)}, {}
+        data, notes = {**base, **own, **_override_keys(given)}, {}
         names = _hardware_names(base, robot)
-        if _BEFORE_3 in own and "joint_mapping" not in data:
+        if _OLD_FORMAT_KEY in own and "joint_mapping" not in data:
             with prefix_errors("rl_sar's format before version 3"):
-                names, note = _names_before_3(data, robot)
+                names, note = _old_format_joints(data, robot)
             data["joint_mapping"], notes["joints"] = list(range(len(names))), note
             table = _pick(data, "rl_sar's format before version 3; ")
         else:
@@ -142,7 +142,7 @@ def _pick(data: Mapping[str, Any], what: str) -> _Config:
         raise SurefootError(f"{what}{error}{hint}") from error
 
 
-def _given_keys(given: Mapping[str, Any]) -> dict[str, Any]:
+def _override_keys(given: Mapping[str, Any]) -> dict[str, Any]:
     """Return the keys of a table that say what the user gives."""
     keys: dict[str, Any] = {
         name: given[field] for field, name in (("kp", "rl_kp"), ("kd", "rl_kd")) if given.get(field) is not None
@@ -152,7 +152,7 @@ def _given_keys(given: Mapping[str, Any]) -> dict[str, Any]:
     return keys
 
 
-def _names_before_3(data: dict[str, Any], robot: RobotDescription) -> tuple[list[str], str]:
+def _old_format_joints(data: dict[str, Any], robot: RobotDescription) -> tuple[list[str], str]:
     """Return the joints in the order of the lists of an old file, and a note about it.
 
     Gains that it states as one number each are put in their places.
@@ -166,7 +166,7 @@ def _names_before_3(data: dict[str, Any], robot: RobotDescription) -> tuple[list
         return [
             *robot.motor_names
         ], f"order of joints: the file does not say it; the robot's is assumed, {first} and so on"
-    found = matched_joints(map(str, controllers), robot.motor_names)
+    found = match_joints(map(str, controllers), robot.motor_names)
     if found is None or {*found} != {*robot.motor_names}:
         raise SurefootError(
             f"joint_controller_names are {choices(controllers)}; {robot.name} has {choices(robot.motor_names)}"
@@ -178,7 +178,7 @@ def _order(table: _Config, own: Mapping[str, Any]) -> tuple[tuple[int, ...], str
     """Return the place in the file's lists of each joint of the network, and a note about it."""
     count, rows, columns = len(table.joint_mapping), own.get("rows"), own.get("cols")
     same = tuple(range(count))
-    if own.get(_BEFORE_3) != "isaacsim" or not isinstance(rows, int) or not isinstance(columns, int):
+    if own.get(_OLD_FORMAT_KEY) != "isaacsim" or not isinstance(rows, int) or not isinstance(columns, int):
         return same, ""
     if rows * columns != count:
         raise SurefootError(f"rows and cols are {rows} and {columns}; there are {count} joints")
@@ -211,10 +211,10 @@ def _action_scale(table: _Config, order: tuple[int, ...]) -> tuple[PerJoint, str
     return tuple(scale.tolist()), f"{note}observed without it"
 
 
-def _only_table(path: Path) -> dict[str, Any]:
+def _single_table(path: Path) -> dict[str, Any]:
     """Return the one table of a file, or that of its folder's name; the file itself, if it is one flat table."""
     data = read_yaml(path)
-    if "observations" in data or (_BEFORE_3 in data and "decimation" in data):
+    if "observations" in data or (_OLD_FORMAT_KEY in data and "decimation" in data):
         return data
     tables = {name: table for name, table in data.items() if isinstance(table, dict)}
     if len(tables) == 1:

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 
 _COMMAND_PERIOD, _REPORT_PERIOD = 0.05, 1 / 15
 """Time between two commands on the channel, and between two reports to the browser [s]."""
-_SILENCE = 1.0
+_COMMAND_TIMEOUT = 1.0
 """Time after which a command that the browser does not repeat ends [s]."""
 _PATIENCE = 30.0
 """Time that the page's process may take to start [s]."""
@@ -165,7 +165,7 @@ class Page:
         with contextlib.suppress(queue.Empty):
             while True:
                 self._take(self._server.inbox.get_nowait(), now)
-        drives = self._server.tabs > 0 and now - self._received < _SILENCE
+        drives = self._server.tabs > 0 and now - self._received < _COMMAND_TIMEOUT
         if drives and channel and now - self._sent >= _COMMAND_PERIOD:
             self._sent = now
             with contextlib.suppress(OSError):

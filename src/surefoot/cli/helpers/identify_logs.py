@@ -16,7 +16,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import parse_settings
 
 RUNS = Path("runs/identify")
-UNEXPLAINED = 3
+FIT_FAILED = 3
 """Exit code of a fit that does not explain its logs."""
 
 
@@ -87,20 +87,20 @@ def identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
 
     runs = {name: replace(log, rack=name in command.rack) for name, log in logs.items()}
     if command.plan:
-        return _print_foresight(robot, [runs[name] for name in fitted], prior.params, tuple(stated), command)
+        return _print_expected_accuracy(robot, [runs[name] for name in fitted], prior.params, tuple(stated), command)
     held = [runs[name] for name in command.hold_out]
     with fit_progress("logs") as report:
         result = fit_robot(robot, [runs[name] for name in fitted], held, command.fit or None, prior.params,
                            command.duration, command.generations, command.seed, report, tuple(stated))  # fmt: skip
     if result.failure:
         print_failure(result, command.json)
-        return UNEXPLAINED
+        return FIT_FAILED
     folder, more = command.out or new_folder("logs"), {"logs": [str(path) for path in paths]}
     save_and_print(robot, prior, result, command.params, folder, command.trace.name, more, command.json)
     return 0
 
 
-def _print_foresight(
+def _print_expected_accuracy(
     robot: RobotDescription,
     motions: list[RecordedMotion],
     prior: PhysicalParams,
@@ -109,12 +109,12 @@ def _print_foresight(
 ) -> int:
     if on_ground := [motion.name for motion in motions if not motion.rack]:
         raise SurefootError(f"--plan is of robots that hang; {on_ground[0]} is not named by --rack")
-    from surefoot.cli.helpers.identify_results import print_foresight
-    from surefoot.identify.motion.foresight import foresee
+    from surefoot.cli.helpers.identify_results import print_expected_accuracy
+    from surefoot.identify.motion.foresight import predict_accuracy
     from surefoot.identify.motion.robot_model import fitted_part
 
     parts = [fitted_part(motion, command.duration) for motion in motions]
-    print_foresight(robot, foresee(robot, parts, prior, stated), prior, command.trace.name, command.json)
+    print_expected_accuracy(robot, predict_accuracy(robot, parts, prior, stated), prior, command.trace.name, command.json)
     return 0
 
 

@@ -19,7 +19,7 @@ from surefoot.api.extras import install_command
 from surefoot.cli.helpers.output import print_json
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.result import Identification, ParameterEstimate
-from surefoot.identify.robot_params_file import overlay, write_overlay
+from surefoot.identify.robot_params_file import overlay, write_robot_params
 from surefoot.progress import ProgressDisplay
 from surefoot.report.figures.identification import cells, full_name, prior_value
 from surefoot.report.pages.identification import write_report
@@ -27,7 +27,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamsFile
 
 if TYPE_CHECKING:
-    from surefoot.identify.motion.foresight import Foresight
+    from surefoot.identify.motion.foresight import ExpectedAccuracy
 
 _NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "report"}
 
@@ -73,7 +73,7 @@ def save_and_print(
     Printed are tables, or one JSON object with `more` entries.
     """
     # First what took a robot and a fit; a figure can be drawn again.
-    files = [write_overlay(params or folder / "robot.toml", robot, overlay(prior, result, robot, source))]
+    files = [write_robot_params(params or folder / "robot.toml", robot, overlay(prior, result, robot, source))]
     files += write_report(result, robot, prior.params, folder, source)
     if as_json:
         print_json(_as_mapping(robot, prior.params, result) | more | {"files": files})
@@ -93,8 +93,8 @@ def save_and_print(
         console.print(line, markup=False, soft_wrap=True)
 
 
-def print_foresight(
-    robot: RobotDescription, foresight: Foresight, prior: PhysicalParams, source: str, as_json: bool
+def print_expected_accuracy(
+    robot: RobotDescription, foresight: ExpectedAccuracy, prior: PhysicalParams, source: str, as_json: bool
 ) -> None:
     """Print what logs or a planned motion would tell, before anything is fitted."""
     result = Identification(source, robot.name, foresight.estimates, notes=foresight.sentences)

@@ -21,7 +21,7 @@ from surefoot.deploy.checks import check_handshake
 from surefoot.deploy.display import PlainLines, open_display
 from surefoot.deploy.loop import RunMonitor, Snapshot
 from surefoot.deploy.messages import Handshake
-from surefoot.deploy.pacer import undisturbed
+from surefoot.deploy.pacer import real_time_priority
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
@@ -104,14 +104,14 @@ def _connect(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tu
     link = command.open_robot(robot)
     try:
         handshake = link.connect()
-        refuse_another_robot(handshake, robot)
+        check_robot(handshake, robot)
         yield link, handshake
     finally:
         with contextlib.suppress(LinkLostError, OSError):
             link.close()
 
 
-def refuse_another_robot(handshake: Handshake, robot: RobotDescription) -> None:
+def check_robot(handshake: Handshake, robot: RobotDescription) -> None:
     """Refuse a robot that is not the one of the data sheet."""
     error = first_failure(check_handshake(handshake, robot))
     if error is not None:
@@ -151,7 +151,7 @@ def _run(command: ExperimentCommand, link: RobotLink, plan: Plan, robot: RobotDe
         watch = ExperimentProgress(plan, f"{plan.experiment} experiment, {robot.name}, {command.address}")
         stack.callback(watch.close)
         if not command.lockstep:
-            stack.enter_context(undisturbed())
+            stack.enter_context(real_time_priority())
         recording = run_plan(link, plan, robot, watch)
     recording.save(path)
     return recording

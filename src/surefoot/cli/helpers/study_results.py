@@ -97,7 +97,7 @@ def report_robots(study: StudyConfig, root: Path, out: Path, command: str, conso
 
     robots, rows = study.hidden, dict[str, pd.DataFrame]()
     for run in study_runs(study, root, robots=robots_folder(out)):
-        if _is_studys(run):
+        if _is_finished(run):
             result = stored_result(run.policy, NAME, evaluation_kinds(study, run, root)[NAME])
             rows |= {} if result is None else {run.name: episode_rows(run, result)}
     if not rows:
@@ -149,7 +149,7 @@ def _policy_row(run: Training, study: StudyConfig) -> dict[str, Any] | None:
     from surefoot.studies.comparison import policy_row
     from surefoot.studies.evaluations import evaluation_names, stored_result
 
-    if not _is_studys(run):
+    if not _is_finished(run):
         return None
     results = {kind: stored_result(run.policy, kind) for kind in evaluation_names(study.evaluate)}
     stored = {kind: result for kind, result in results.items() if result is not None}
@@ -160,7 +160,7 @@ def _policy_row(run: Training, study: StudyConfig) -> dict[str, Any] | None:
     return row | {"best_steps": best, "policy": run.policy}
 
 
-def _is_studys(run: Training) -> bool:
+def _is_finished(run: Training) -> bool:
     """Return whether a run is finished, and the one that the study asks for."""
     if run.state != "finished":
         return False

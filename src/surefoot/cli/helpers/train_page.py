@@ -32,7 +32,7 @@ _READ_PERIOD = 1.0
 """Time between two looks for a new file [s]."""
 _NICENESS = 5
 """Niceness of the page's process: a third of the processor's time that the training gets, where there is too little."""
-_CRUISE_SHARE = 0.5
+_INITIAL_SPEED = 0.5
 """Share of the greatest speed forward at which a policy with commands runs until the page steers it."""
 
 
@@ -81,7 +81,7 @@ class NewestPolicy(DrivePage):
         super().__init__(str(file), world, recordings=file.parent / "recordings")
         self._file, self._modified, self._checked = file, file.stat().st_mtime_ns, time.monotonic()
         if self.robot.limits is not None:
-            self.robot.command(np.array([_CRUISE_SHARE * self.robot.limits.high[0], 0.0, 0.0]))
+            self.robot.command(np.array([_INITIAL_SPEED * self.robot.limits.high[0], 0.0, 0.0]))
 
     def _handle_messages(self) -> None:
         super()._handle_messages()

@@ -28,7 +28,7 @@ from surefoot.world.terrain import make_terrain
 if TYPE_CHECKING:
     from surefoot.emulator.plant import Plant
 
-_LEAST_AREA = 1e-9
+_MIN_AREA = 1e-9
 """Area [m2] of a mesh below which it is not shown: MuJoCo refuses meshes without any, or of fewer than 4 points."""
 _PERIOD = 33_000
 """Time between two poses of an emulated robot [us]."""
@@ -58,7 +58,7 @@ def build_stage(appearance: Appearance, ground: Ground = FLAT) -> mujoco.MjModel
     for number, (link, color, points, faces) in enumerate(link_meshes(appearance)):
         corners = points[faces]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-        if len(points) < 4 or area < _LEAST_AREA:
+        if len(points) < 4 or area < _MIN_AREA:
             continue
         mesh = spec.add_mesh(name=f"mesh{number}", uservert=points.ravel(), userface=faces.ravel())
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # open surfaces have no volume

@@ -22,14 +22,14 @@ import numpy as np
 
 from surefoot.deploy import messages
 from surefoot.deploy.board.limits import Limits
-from surefoot.deploy.board.signals import Hazard, MotorOrder, Sensors, Vitals, microseconds
+from surefoot.deploy.board.signals import Hazard, MotorCommand, Sensors, Vitals, microseconds
 from surefoot.deploy.clock import ClockSync
 from surefoot.deploy.messages import Handshake, Hello, Message, Mode, Packet, Position, Pwm, Reason
 
 ARMED = (Mode.POSITION, Mode.PWM)
 
 
-class LinkWatch:
+class LinkMonitor:
     """Order, age and continuity of one operator's packets; a clean link is silent for `clean_gap` at most."""
 
     def __init__(self, clean_gap: int) -> None:
@@ -42,7 +42,7 @@ class LinkWatch:
     def restart(self) -> None:
         """Begin another session: its numbers and its clock are new."""
         self.last_number, self._clean_since = 0, None
-        self._sync.forget()
+        self._sync.reset()
 
     def is_next(self, number: int) -> bool:
         """Return whether a packet's number is above all before; if so, it is the last one from now on."""
@@ -80,7 +80,7 @@ class Firmware:
 
     def __init__(self, handshake: Handshake, limits: Limits) -> None:
         self.handshake, self.limits = handshake, limits
-        self.watch = LinkWatch(microseconds(limits.clean_gap))
+        self.watch = LinkMonitor(microseconds(limits.clean_gap))
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
         self.period = 0
         self.next_state = math.inf
@@ -89,7 +89,7 @@ class Firmware:
         """Commands dropped because they were too old."""
         self._out: list[Packet] = []
         self._sent = 0
-        self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(len(handshake.motor_names)))
+        self._order = self._damped = MotorCommand(Mode.DISARMED, np.zeros(len(handshake.motor_names)))
         self._fresh = self._first = False
         self._state_period = microseconds(limits.state_period[1])
         self._report_after = self._command = self._command_time = 0
@@ -104,7 +104,7 @@ class Firmware:
         """Whether motors follow commands."""
         return self.mode in ARMED
 
-    def is_taken(self, now: int) -> bool:
+    def has_operator(self, now: int) -> bool:
         """Return whether the robot has an operator that may keep it."""
         silent = now - self.watch.last_received > microseconds(self.limits.owner_timeout)
         return bool(self.owner) and (self.armed or not silent)
@@ -118,14 +118,14 @@ class Firmware:
         self._sent += 1
         self._out.append(Packet(message, self._sent, now / 1e6))
 
-    def refuse_foreign(self, now: int, text: str) -> None:
+    def reject_foreign(self, now: int, text: str) -> None:
         """Refuse a packet of another version or schema of the protocol."""
         self.watch.note_damage()
-        self._refuse(now, 0, Reason.SCHEMA, text)
+        self._reject(now, 0, Reason.SCHEMA, text)
 
     def announce(self, now: int, hazard: Hazard) -> None:
         """Tell the operator of something outside, also while the motors are not armed."""
-        self._refuse(now, self.owner, *hazard)
+        self._reject(now, self.owner, *hazard)
 
     def receive(self, now: int, packet: Packet) -> None:
         """Handle a packet of a host."""
@@ -141,7 +141,7 @@ class Firmware:
             self._start_session(now, packet, message)
             return
         if not session or session != self.owner:
-            self._refuse(now, session, Reason.SESSION, f"session {session} is not known")
+            self._reject(now, session, Reason.SESSION, f"session {session} is not known")
             return
         age = self.watch.age(now, microseconds(packet.time))
         if not self.watch.is_next(packet.sequence):
@@ -165,8 +165,8 @@ class Firmware:
             self.owner, self.next_state = 0, math.inf
 
     def _start_session(self, now: int, packet: Packet, hello: Hello) -> None:
-        if self.is_taken(now):
-            self._refuse(now, hello.session, Reason.BUSY, "another operator has the robot")
+        if self.has_operator(now):
+            self._reject(now, hello.session, Reason.BUSY, "another operator has the robot")
             return
         self._disarm(now)
         self.owner = hello.session
@@ -188,15 +188,15 @@ class Firmware:
         shortest, longest = self.limits.command_period
         no_duty = arm.mode == Mode.PWM and not self.limits.duty
         if arm.mode not in ARMED or no_duty or (self.armed and arm.mode != self.mode):
-            self._refuse(now, self.owner, Reason.MODE, f"mode {arm.mode} can't be armed while {self.mode.name}")
+            self._reject(now, self.owner, Reason.MODE, f"mode {arm.mode} can't be armed while {self.mode.name}")
         elif not (shortest <= arm.command_period <= longest and arm.report_after <= arm.command_period):
             text = f"command period is {arm.command_period:.3f} s; it must be {shortest:g} to {longest:g}"
-            self._refuse(now, self.owner, Reason.COMMAND, text)
+            self._reject(now, self.owner, Reason.COMMAND, text)
         elif not self.armed and self.reason and self.watch.clean_for(now) < microseconds(self.limits.rearm_after):
             text = f"the link must be clean for {self.limits.rearm_after:g} s ({self.reason.name.lower()})"
-            self._refuse(now, self.owner, Reason.NOT_CLEAN, text)
+            self._reject(now, self.owner, Reason.NOT_CLEAN, text)
         elif (hazard := self._hazard(now)) is not None:
-            self._refuse(now, self.owner, *hazard)
+            self._reject(now, self.owner, *hazard)
         else:
             self.period = microseconds(arm.command_period)
             self._report_after = microseconds(arm.report_after)
@@ -216,7 +216,7 @@ class Firmware:
         if self.mode != mode:
             self._dropped += 1
             if self.mode != Mode.FAULT:  # every state of a faulted robot has the reason
-                self._refuse(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
+                self._reject(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
             return
         if age > self.limits.stale_after * self.period:
             self.stale += 1
@@ -235,7 +235,7 @@ class Firmware:
                 return
         self._first = False
         self._command, self._command_time, self._dropped_in_a_row, self._fresh = number, now, 0, False
-        self._order = MotorOrder(self.mode, values)
+        self._order = MotorCommand(self.mode, values)
         self.next_state = now + self._report_after
 
     def _drop(self, now: int, text: str) -> None:
@@ -244,7 +244,7 @@ class Firmware:
         if self.armed and self._dropped_in_a_row >= self.limits.stale_drops:
             self._fail(now, Reason.STALE, text)
 
-    def tick(self, now: int, vitals: Vitals) -> MotorOrder:
+    def tick(self, now: int, vitals: Vitals) -> MotorCommand:
         """Return the order to the motors in the servo step that begins."""
         self._vitals = vitals
         # A voltage that is no number is low.
@@ -264,7 +264,7 @@ class Firmware:
             self._fresh = False
             angle = np.array(vitals.motor_angle, float)
             held = angle if self.mode == Mode.POSITION else np.zeros_like(angle)
-            self._order = MotorOrder(self.mode, held)
+            self._order = MotorCommand(self.mode, held)
         return self._order
 
     def _hazard(self, now: int) -> Hazard | None:
@@ -298,7 +298,7 @@ class Firmware:
     def _send_fault(self, now: int, session: int, reason: Reason, text: str) -> None:
         self._send(now, messages.Fault(session, int(reason), text))
 
-    def _refuse(self, now: int, session: int, reason: Reason, text: str) -> None:
+    def _reject(self, now: int, session: int, reason: Reason, text: str) -> None:
         """Answer a message with a fault, at most `Limits.refusals` times per second for each reason."""
         times = self._refusals.setdefault(reason, deque(maxlen=self.limits.refusals))
         if len(times) == self.limits.refusals and now - times[0] < 1_000_000:

@@ -30,7 +30,7 @@ class HostFrames:
         if statistics.damaged + statistics.unknown > damaged:
             firmware.watch.note_damage()
         if statistics.foreign > foreign:
-            firmware.refuse_foreign(now, f"schema is {self.codec.schema:#010x}")
+            firmware.reject_foreign(now, f"schema is {self.codec.schema:#010x}")
         for packet in packets:
             firmware.receive(now, packet)
 

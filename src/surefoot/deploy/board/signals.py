@@ -42,7 +42,7 @@ class Sensors:
 
 
 @dataclass(frozen=True)
-class MotorOrder:
+class MotorCommand:
     """What the motors do until the next order."""
 
     mode: Mode

@@ -98,14 +98,14 @@ class Bus:
                 "a domain has room for nine programs"
             ) from error
 
-    def types_of(self, name: str) -> list[str]:
+    def type_names(self, name: str) -> list[str]:
         """Return the types with which others write a topic, as far as DDS has found them."""
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 
         found = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication).take(1000)
         return sorted({entry.type_name for entry in found if entry.topic_name == name})
 
-    def writers_of(self, name: str) -> list[str]:
+    def writer_names(self, name: str) -> list[str]:
         """Return the programs that announce to write a topic, as far as DDS has found them, by name and process."""
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant, BuiltinTopicDcpsPublication
 

@@ -29,8 +29,8 @@ from surefoot.robot import RobotDescription
 FIRST_TORQUE = 5.0
 """Largest torque [N m] that the first command after arming may request."""
 FIRMWARE = "surefoot keeper"
-_KEEPER, _WATCHER = "surefoot.deploy.dds.keeper", "surefoot.deploy.dds.watcher"
-_ENDING = 5.0
+_SUPERVISOR, _WATCHDOG = "surefoot.deploy.dds.keeper", "surefoot.deploy.dds.watcher"
+_EXIT_TIMEOUT = 5.0
 """Time [s] for the keeper to damp the motors and end."""
 
 
@@ -104,9 +104,9 @@ class DdsLink(SerialLink):
         hand_back: bool = False,
         checks: Sequence[CheckResult] = (),
     ) -> None:
-        (here, host), (keeper, watcher) = socket.socketpair(), socket.socketpair()
-        self.children = [Child(_WATCHER, config, [watcher]), Child(_KEEPER, config, [host, keeper])]
-        for end in (host, keeper, watcher):
+        (here, host), (supervisor, watcher) = socket.socketpair(), socket.socketpair()
+        self.children = [Child(_WATCHDOG, config, [watcher]), Child(_SUPERVISOR, config, [host, supervisor])]
+        for end in (host, supervisor, watcher):
             end.close()
         super().__init__(SocketPort(here, "the keeper process"), Codec(len(MOTOR_NAMES)), MonotonicClock(), session)
         self.preliminary_checks = list(checks)
@@ -129,7 +129,7 @@ class DdsLink(SerialLink):
         with contextlib.suppress(LinkLostError):
             super().close()
         for child in children:
-            child.finish(_ENDING)
+            child.finish(_EXIT_TIMEOUT)
         if self._hand_back and children:
             bus = Bus(self._config.interface, self._config.domain)
             try:

@@ -15,7 +15,7 @@ from surefoot.deploy.dds import types
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus, check_interface
 from surefoot.deploy.dds.low_level import LOW_STATE, MOTOR_NAMES, SERVO, STATE_PERIOD, BadMessageError, Record, decode
 from surefoot.deploy.dds.motion_service import MotionService
-from surefoot.deploy.dds.state_monitor import LOST_RISE, MOTORS
+from surefoot.deploy.dds.state_monitor import MAX_LOST, MOTORS
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.rotations import quat_matrix
@@ -26,16 +26,16 @@ OBSERVED = 0.5
 """Time [s] for which states are observed."""
 RATE_TOLERANCE = 0.1
 """Greatest relative difference of the states' rate, and of their clock's, from what they should be."""
-MAX_DAMAGED = 0.01
+MAX_DAMAGED_FRACTION = 0.01
 """Greatest share of states that may be damaged."""
 MAX_KP, MAX_KD = 100.0, 10.0
 """Greatest gains [N m/rad, N m s/rad] that are sent. What the drives take is not published; the vendor's own programs
 send 80 and 5 at most."""
 LIMIT_MARGIN = 0.1
 """How far [rad] a joint may be beyond the limits of the description, such as at its stop."""
-GRAVITY_ANGLE, GRAVITY_SHARE = 0.15, 0.1
+MAX_GRAVITY_ANGLE, GRAVITY_TOLERANCE = 0.15, 0.1
 """Greatest angle [rad] between the accelerometer's gravity and the orientation's, and relative difference from g."""
-_LYING_KNEE, _LYING_MOTION, _LYING_TIME = -2.2, 0.05, 0.5
+_LYING_KNEE_ANGLE, _LYING_MAX_MOTION, _LYING_TIME = -2.2, 0.05, 0.5
 """A Go2 lies whose knees are folded below this angle [rad] and whose joints have moved by less than this [rad] for so
 long [s]; single readings of speeds are too noisy."""
 _POLL = 0.001
@@ -44,7 +44,7 @@ _DEPTH = 512
 
 
 @dataclass
-class Observation:
+class ReceivedMessages:
     """What has come."""
 
     time: float
@@ -80,7 +80,7 @@ class Inspection:
         while not self._states.take(1):
             if time.monotonic() > end:
                 nominal = types.GO_LOW_STATE
-                others = [name for name in self._bus.types_of(LOW_STATE_TOPIC) if name != nominal]
+                others = [name for name in self._bus.type_names(LOW_STATE_TOPIC) if name != nominal]
                 if others:
                     error = f"{LOW_STATE_TOPIC} is of type {choices(others)}; a Go2's is {nominal}"
                 else:
@@ -91,11 +91,11 @@ class Inspection:
                 raise SurefootError(f"{self._place}: {error}")
             time.sleep(_POLL)
 
-    def observe(self, duration: float) -> Observation:
+    def observe(self, duration: float) -> ReceivedMessages:
         """Observe the topics for a time [s]; on a busy computer it takes longer, and that time is in the result."""
         for reader in (self._states, self._commands, self._sport):
             reader.take(_DEPTH)
-        seen = Observation(0.0, [], [], 0, 0)
+        seen = ReceivedMessages(0.0, [], [], 0, 0)
         start = time.monotonic()
         while seen.time < duration:
             time.sleep(_POLL)
@@ -115,7 +115,7 @@ class Inspection:
         if not records:
             return False
         angle = np.array([record["motor_state"]["q"][:MOTORS] for record in records])
-        return bool((angle[:, 2::3] < _LYING_KNEE).all() and (np.ptp(angle, axis=0) < _LYING_MOTION).all())
+        return bool((angle[:, 2::3] < _LYING_KNEE_ANGLE).all() and (np.ptp(angle, axis=0) < _LYING_MAX_MOTION).all())
 
     def inspect(
         self, robot: RobotDescription, kp: ArrayLike, kd: ArrayLike, release: Callable[[str], bool]
@@ -146,7 +146,7 @@ class Inspection:
             CheckResult("interface", True, f"{self._interface}, {address}", value=self._interface),
             check_states(seen),
             _check_controller(name, seen.sport),
-            _check_strangers(seen, self._bus.writers_of(LOW_COMMAND_TOPIC)),
+            _check_other_programs(seen, self._bus.writer_names(LOW_COMMAND_TOPIC)),
             check_motors(seen.records),
             check_cells(seen.records[-1], robot.battery.low),
             check_gains(kp, kd),
@@ -155,7 +155,7 @@ class Inspection:
         ]
 
 
-def check_states(seen: Observation) -> CheckResult:
+def check_states(seen: ReceivedMessages) -> CheckResult:
     """Judge rate, ticks and checksums of states."""
     count, damaged = len(seen.records), len(seen.damaged)
     ticks = np.array([int(record["tick"]) for record in seen.records])
@@ -163,7 +163,7 @@ def check_states(seen: Observation) -> CheckResult:
     rises = np.diff(ticks)
     clock = 1e-3 * float(ticks[-1] - ticks[0]) / seen.time
     error = None
-    if damaged > MAX_DAMAGED * (count + damaged):
+    if damaged > MAX_DAMAGED_FRACTION * (count + damaged):
         error = f"{damaged} of {count + damaged} messages are damaged: {seen.damaged[-1]}"
     elif abs(rate / expected - 1) > RATE_TOLERANCE:
         error = f"{rate:.0f} a second; it must be {expected:g} to {RATE_TOLERANCE:.0%}"
@@ -193,7 +193,7 @@ def _check_controller(name: str | None, sport: int) -> CheckResult:
     return CheckResult("own controller", True, "released")
 
 
-def _check_strangers(seen: Observation, writers: Sequence[str]) -> CheckResult:
+def _check_other_programs(seen: ReceivedMessages, writers: Sequence[str]) -> CheckResult:
     announced = f"; announced as its writers: {choices(writers)}" if writers else ""
     return judge(
         "other programs",
@@ -214,7 +214,7 @@ def check_motors(records: list[Record]) -> CheckResult:
     if off.size:
         names = choices([MOTOR_NAMES[motor] for motor in off])
         error = f"{names}: mode {int(motors['mode'][off[0]])}; it must be {SERVO}"
-    elif rise.max() >= LOST_RISE:
+    elif rise.max() >= MAX_LOST:
         error = f"{MOTOR_NAMES[int(rise.argmax())]} has lost {int(rise.max())} messages in {OBSERVED:g} s"
     lost, hottest = motors["lost"], int(motors["temperature"].max())
     return fail_if(
@@ -280,12 +280,12 @@ def check_gravity(records: list[Record]) -> CheckResult:
     up = quat_matrix(quaternion / max(float(np.linalg.norm(quaternion)), 1e-9)).T[:, 2]
     size = float(np.linalg.norm(force))
     angle = float(np.arccos(np.clip(up @ force / max(size, 1e-9), -1, 1)))
-    passed = angle <= GRAVITY_ANGLE and abs(size / GRAVITY - 1) <= GRAVITY_SHARE
+    passed = angle <= MAX_GRAVITY_ANGLE and abs(size / GRAVITY - 1) <= GRAVITY_TOLERANCE
     return judge(
         "gravity",
         bool(passed),
         f"the accelerometer says {size:.2f} m/s2, {angle:.3f} rad from where the orientation has it",
-        f"; it must be {GRAVITY:g} to {GRAVITY_SHARE:.0%}, at most {GRAVITY_ANGLE:g} rad away",
+        f"; it must be {GRAVITY:g} to {GRAVITY_TOLERANCE:.0%}, at most {MAX_GRAVITY_ANGLE:g} rad away",
         "let the robot lie still; if it does, restart it",
         angle,
     )

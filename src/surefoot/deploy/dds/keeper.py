@@ -18,7 +18,7 @@ from typing import Any
 from surefoot.arrays import Array
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.host_frames import HostFrames
-from surefoot.deploy.board.signals import Hazard, MotorOrder, Sensors, microseconds
+from surefoot.deploy.board.signals import Hazard, MotorCommand, Sensors, microseconds
 from surefoot.deploy.dds import types
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC, Bus, RawReader
 from surefoot.deploy.dds.low_level import LOW_STATE, STATE_PERIOD, BadMessageError, decode, encode, new_command
@@ -26,7 +26,7 @@ from surefoot.deploy.dds.processes import LinkConfig, await_readers, serve
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.dds.state_monitor import MOTORS, SHOWN, StateMonitor
 from surefoot.deploy.messages import Mode, Reason
-from surefoot.deploy.robot_link import LISTEN, LinkLostError
+from surefoot.deploy.robot_link import LISTEN_TIME, LinkLostError
 
 PERIOD = round(STATE_PERIOD * 1e6)
 """Time [us] between two commands to the robot."""
@@ -36,12 +36,12 @@ DAMPED = 500_000
 """Time [us] for which the keeper damps the motors after the loop has gone."""
 IDLE, ACTIVE, DONE = b"\0", b"\1", b"\2"
 """What the keeper tells the watcher: no command was written yet; commands are written; the end."""
-_REMEMBERED = {Reason.OTHER_PROGRAM: microseconds(LISTEN)}
+_REMEMBERED = {Reason.OTHER_PROGRAM: microseconds(LISTEN_TIME)}
 """Time [us] for which a message keeps the robot from arming, where that is not `SHOWN`: a program that commands rarely
 goes on."""
 _BEAT_EVERY = 2
 """Cycles between two of these."""
-WATCHER_SILENCE = 100_000
+WATCHDOG_SILENCE = 100_000
 """Time [us] of this process's own work without an answer of the watcher, after which that counts as gone. After 30 ms
 a robot was damped because other programs with real-time priority held the watcher up."""
 _FIRST_STATE = 100
@@ -66,7 +66,7 @@ def position_frame(target: Array, kp: Array, kd: Array) -> bytes:
     return encode(command)
 
 
-class Keeper:
+class Supervisor:
     """The board's program between the loop's socket and the robot's topics.
 
     Args:
@@ -97,7 +97,7 @@ class Keeper:
         )
         self.writer = bus.writer(LOW_COMMAND_TOPIC, types.LowCmd)
         self._damping = self._frame = damping_frame()
-        self._order: MotorOrder | None = None
+        self._order: MotorCommand | None = None
         self._exchanged = -math.inf
         """When beats were exchanged last [us]."""
         self._seen = [-math.inf] * len(self._strangers)
@@ -169,7 +169,7 @@ class Keeper:
 
     def _outside(self, now: int) -> Hazard | None:
         """Return what beside the robot's states must stop the motors."""
-        if not self._watcher.is_open or self._unanswered * _BEAT_EVERY * PERIOD > WATCHER_SILENCE:
+        if not self._watcher.is_open or self._unanswered * _BEAT_EVERY * PERIOD > WATCHDOG_SILENCE:
             return Reason.WATCHER, "the watcher process has ended or hangs"
         if self._controller:
             return Reason.OWN_CONTROLLER, f"the robot's own controller '{self._controller}' is active"
@@ -197,7 +197,7 @@ class Keeper:
             self._active = True
             self.writer.write(self._damping if self._ends < math.inf else self._encode(order))
 
-    def _encode(self, order: MotorOrder) -> bytes:
+    def _encode(self, order: MotorCommand) -> bytes:
         if order is not self._order:
             held = order.mode == Mode.POSITION
             self._order, self._frame = order, position_frame(order.values, *self._gains) if held else self._damping
@@ -219,10 +219,10 @@ class Keeper:
 def main() -> int:
     """Run the keeper's process."""
 
-    def prepare(config: LinkConfig, bus: Bus, ports: list[SocketPort]) -> Keeper:
-        keeper = Keeper(config, bus, *ports)
-        await_readers(keeper.writer)
-        return keeper
+    def prepare(config: LinkConfig, bus: Bus, ports: list[SocketPort]) -> Supervisor:
+        supervisor = Supervisor(config, bus, *ports)
+        await_readers(supervisor.writer)
+        return supervisor
 
     return serve(prepare)
 

@@ -206,7 +206,7 @@ _BUTTONS = ("R1", "L1", "start", "select", "R2", "L2", "F1", "F2", "A", "B", "X"
 
 
 @dataclass(frozen=True)
-class Remote:
+class RemoteControl:
     """The remote control: buttons that are pressed, and sticks, -1 to 1 (left and right, x to the right, y up)."""
 
     buttons: frozenset[str]
@@ -216,7 +216,7 @@ class Remote:
     right_y: float
 
     @classmethod
-    def decode(cls, data: NDArray[np.uint8]) -> Remote:
+    def decode(cls, data: NDArray[np.uint8]) -> RemoteControl:
         """Return what the 40 bytes `wireless_remote` of a state say; without a remote, all are zero."""
         raw = data.tobytes()
         word = int.from_bytes(raw[2:4], "little")

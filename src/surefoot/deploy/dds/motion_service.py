@@ -9,9 +9,9 @@ from surefoot.deploy.dds import services
 from surefoot.deploy.dds.bus import Bus
 from surefoot.errors import SurefootError
 
-LIE_DOWN, RELEASE = 10.0, 5.0
+LIE_DOWN_TIMEOUT, RELEASE_TIMEOUT = 10.0, 5.0
 """Longest time [s] for the robot to lie down, and for its controller to be released."""
-_ANSWER = 1.0
+_ANSWER_TIMEOUT = 1.0
 _POLL = 0.1
 
 
@@ -25,7 +25,7 @@ class MotionService:
     def active(self) -> str | None:
         """Return the name of the active controller, empty if there is none; None if the robot does not answer."""
         try:
-            return services.mode_name(self._switcher.call(services.CHECK_MODE, timeout=_ANSWER))
+            return services.mode_name(self._switcher.call(services.CHECK_MODE, timeout=_ANSWER_TIMEOUT))
         except SurefootError:
             return None
 
@@ -39,17 +39,17 @@ class MotionService:
             SurefootError: it does not lie down, its controller stays, or a service does not answer.
         """
         self._sport.call(services.STAND_DOWN)
-        end = time.monotonic() + LIE_DOWN
+        end = time.monotonic() + LIE_DOWN_TIMEOUT
         while not lies():
             if time.monotonic() > end:
                 raise SurefootError(
-                    f"the robot does not lie down within {LIE_DOWN:g} s; its controller was not released, and nothing "
+                    f"the robot does not lie down within {LIE_DOWN_TIMEOUT:g} s; its controller was not released, and nothing "
                     "else was sent"
                 )
-        end = time.monotonic() + RELEASE
+        end = time.monotonic() + RELEASE_TIMEOUT
         while self.active() != "":
             if time.monotonic() > end:
-                raise SurefootError(f"the robot's controller '{self.active()}' is not released within {RELEASE:g} s")
+                raise SurefootError(f"the robot's controller '{self.active()}' is not released within {RELEASE_TIMEOUT:g} s")
             self._switcher.call(services.RELEASE_MODE)
             time.sleep(_POLL)
 

@@ -19,12 +19,12 @@ from surefoot.deploy.board.limits import Limits
 from surefoot.deploy.dds.bus import Bus, RawWriter
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.messages import Handshake
-from surefoot.deploy.pacer import BOARD_PRIORITY, undisturbed
+from surefoot.deploy.pacer import BOARD_PRIORITY, real_time_priority
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import ALL
 
 _READY = "ready"
-_START, _DISCOVERY = 20.0, 2.0
+_START_TIMEOUT, _DISCOVERY_TIMEOUT = 20.0, 2.0
 """Longest time [s] to start, and to find the robot's reader of commands."""
 
 
@@ -77,12 +77,12 @@ class Child:
         """
         output = self._process.stdout
         assert output is not None
-        started = select.select([output], [], [], _START)[0]
-        line = output.readline().decode().strip() if started else f"it does not start within {_START:g} s"
+        started = select.select([output], [], [], _START_TIMEOUT)[0]
+        line = output.readline().decode().strip() if started else f"it does not start within {_START_TIMEOUT:g} s"
         if line != _READY:
-            raise SurefootError(line or self.last_words())
+            raise SurefootError(line or self.exit_message())
 
-    def last_words(self) -> str:
+    def exit_message(self) -> str:
         """Return how the process has ended."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(1.0)
@@ -120,7 +120,7 @@ def serve(prepare: Callable[[LinkConfig, Bus, list[SocketPort]], Runnable]) -> i
     config: LinkConfig = pickle.load(sys.stdin.buffer)
     ports = [SocketPort(socket.socket(fileno=int(word)), "the other process") for word in sys.argv[1:]]
     # Threads of DDS get this priority too: a state that waits for a busy computer is a late one.
-    with undisturbed(BOARD_PRIORITY, threads=True):
+    with real_time_priority(BOARD_PRIORITY, threads=True):
         try:
             child = prepare(config, Bus(config.interface, config.domain), ports)
         except SurefootError as error:
@@ -132,7 +132,7 @@ def serve(prepare: Callable[[LinkConfig, Bus, list[SocketPort]], Runnable]) -> i
 
 
 def await_readers(writer: RawWriter) -> None:
-    """Wait until DDS has found a reader, so that no message is lost; at most `_DISCOVERY`."""
-    end = time.monotonic() + _DISCOVERY
+    """Wait until DDS has found a reader, so that no message is lost; at most `_DISCOVERY_TIMEOUT`."""
+    end = time.monotonic() + _DISCOVERY_TIMEOUT
     while not writer.readers and time.monotonic() < end:
         time.sleep(0.01)

@@ -24,7 +24,7 @@ DAMP, BALANCE_STAND, STOP_MOVE, STAND_UP, STAND_DOWN, RECOVERY_STAND = 1001, 100
 OWN_CONTROLLER = "mcf"
 """Name of the robot's own controller in the motion switcher, from the robot's software 1.1.6 on."""
 OK, NOT_IMPLEMENTED, BAD_PARAMETER = 0, 3203, 3204
-_QUEUE = 16
+_QUEUE_DEPTH = 16
 _RESEND_AFTER = 0.3
 """Time [s] until a request is repeated: discovery may still have been in progress when it was sent."""
 _POLL_PERIOD = 0.002
@@ -59,13 +59,13 @@ class Server:
 
     def __init__(self, bus: Bus, service: str, handlers: Mapping[int, Handler]) -> None:
         request, response = _topics(service)
-        self._requests = bus.reader(request, types.Request, _QUEUE)
+        self._requests = bus.reader(request, types.Request, _QUEUE_DEPTH)
         self._responses = bus.writer(response, types.Response)
         self._handlers = handlers
 
     def serve(self) -> None:
         """Answer the requests that have come since the last call."""
-        for request in self._requests.take_messages(_QUEUE):
+        for request in self._requests.take_messages(_QUEUE_DEPTH):
             identity = request.header.identity
             handler = self._handlers.get(identity.api_id)
             if handler is not None:
@@ -85,7 +85,7 @@ class Client:
         request, response = _topics(service)
         self.service = service
         self._requests = bus.writer(request, types.Request)
-        self._responses = bus.reader(response, types.Response, _QUEUE)
+        self._responses = bus.reader(response, types.Response, _QUEUE_DEPTH)
         # Other clients hear the same responses: numbers begin at the present, as the vendor's do.
         self._numbers = itertools.count(time.monotonic_ns())
 
@@ -101,7 +101,7 @@ class Client:
         """Return the responses that have come since the last call, by number of the request; it never waits."""
         return {
             response.header.identity.id: (response.header.status.code, response.data)
-            for response in self._responses.take_messages(_QUEUE)
+            for response in self._responses.take_messages(_QUEUE_DEPTH)
         }
 
     def call(self, call: int, parameter: Mapping[str, Any] | None = None, timeout: float = 3.0) -> str:

@@ -11,31 +11,31 @@ from typing import Any
 import numpy as np
 
 from surefoot.deploy.board.signals import Hazard, Sensors, Vitals
-from surefoot.deploy.dds.low_level import LOW_STATE, MOTOR_NAMES, SERVO, BadMessageError, Remote, unpack
+from surefoot.deploy.dds.low_level import LOW_STATE, MOTOR_NAMES, SERVO, BadMessageError, RemoteControl, unpack
 from surefoot.deploy.messages import Reason
 from surefoot.rotations import quat_rpy
 
 MOTORS = len(MOTOR_NAMES)
-LATE, LATE_LOOKS = 40_000, 3
+LATE, MIN_POLLS = 40_000, 3
 """Time [us] without a new state that stops the motors, and how often somebody must have looked for one meanwhile: a
 program that was held up itself first reads what has come. With 20 ms a computer that was held up ended 3 of 60 runs;
 motors that hold a target for 55 ms may miss states for 40."""
-RESTART = 100
+TICK_RESTART = 100
 """Fall of the tick [ms] that is no message out of order, but a robot that counts anew."""
 SHOWN = 500_000
 """Time [us] for which what was seen once keeps a robot from arming."""
-LOST_RISE, LOST_WINDOW = 10, 200_000
+MAX_LOST, LOST_WINDOW = 10, 200_000
 """Lost messages of a motor within a time [us] that stop it. Counts of a healthy robot are not 0, but steady."""
-STICK = 0.5
+STICK_THRESHOLD = 0.5
 """Deflection of a stick of the remote control, of 1, that asks to sit."""
 STOP_BUTTONS = frozenset(("L2", "B"))
 """Buttons of the remote control that together damp the motors, as in the vendor's own programs."""
-QUATERNION_ERROR = 0.05
+MAX_QUATERNION_ERROR = 0.05
 """Greatest difference of a quaternion's length from 1."""
 _CELL = (1.0, 5.0)
 """Least and greatest voltage [V] of a cell that is there."""
 _NO_REMOTE, _ON = bytes(40), (SERVO,) * MOTORS
-_BATTERY_EVERY = 25
+_BATTERY_STATES = 25
 """States between two looks at the battery: every .05 s."""
 
 
@@ -111,7 +111,7 @@ class StateMonitor:
         motors, (tick, remote, power) = numbers[7:-3], numbers[-3:]
         if self.tick is not None:
             rise = (tick - self.tick + 2**31) % 2**32 - 2**31
-            if -RESTART < rise <= 0:
+            if -TICK_RESTART < rise <= 0:
                 self._repeats += 1
                 return
             if rise < 0:
@@ -123,12 +123,12 @@ class StateMonitor:
             motors[k :: len(_MOTOR)] for k in range(len(_MOTOR))
         )
         self._rate = numbers[4:7]
-        if self.received % _BATTERY_EVERY == 1:
+        if self.received % _BATTERY_STATES == 1:
             self.voltage = battery_voltage(_CELLS.unpack_from(state), power)
         length = math.hypot(*numbers[:4])
         if not math.isfinite(sum(numbers[:-3]) + power):
             self._found = Reason.NOT_FINITE, "a reading of the robot is not finite"
-        elif not abs(length - 1) <= QUATERNION_ERROR:
+        elif not abs(length - 1) <= MAX_QUATERNION_ERROR:
             self._found = Reason.NOT_FINITE, f"the IMU's quaternion has length {length:.3g}; it must be 1"
         else:
             self._roll_pitch_yaw = quat_rpy(*numbers[:4])
@@ -143,17 +143,17 @@ class StateMonitor:
         rises = (0,) if lost == self._lost else tuple(map(operator.sub, lost, self._lost))
         if now - self._lost_since > LOST_WINDOW or min(rises) < 0:
             self._lost, self._lost_since = lost, now
-        elif (worst := max(rises)) >= LOST_RISE:
+        elif (worst := max(rises)) >= MAX_LOST:
             text = f"{MOTOR_NAMES[rises.index(worst)]} has lost {worst} messages in {1e-3 * LOST_WINDOW:g} ms"
             self._show(now, Reason.MOTOR_OFF, text)
         return None
 
     def _read_remote(self, data: bytes) -> None:
         self._remote = data
-        remote = Remote.decode(np.frombuffer(data, np.uint8))
+        remote = RemoteControl.decode(np.frombuffer(data, np.uint8))
         self._stop = remote.buttons >= STOP_BUTTONS
         sticks = (remote.left_x, remote.left_y, remote.right_x, remote.right_y)
-        self._stick = any(abs(stick) > STICK for stick in sticks)
+        self._stick = any(abs(stick) > STICK_THRESHOLD for stick in sticks)
 
     def _show(self, now: int, reason: Reason, text: str) -> None:
         self._shown, self._shown_until = (reason, text), now + SHOWN
@@ -161,11 +161,11 @@ class StateMonitor:
     def hazard(self, now: int) -> Hazard | None:
         """Return why motors must not move; None if they may."""
         silence = now - self._new_at
-        if silence >= LATE and self._looks >= LATE_LOOKS:
+        if silence >= LATE and self._looks >= MIN_POLLS:
             since = "no state has come" if self.tick is None else f"no new state for {1e-3 * silence:.0f} ms"
-            if self._bad >= LATE_LOOKS:
+            if self._bad >= MIN_POLLS:
                 return Reason.STATES_DAMAGED, f"{since}: {self._bad} messages were damaged or of another layout"
-            if self._repeats >= LATE_LOOKS:
+            if self._repeats >= MIN_POLLS:
                 return Reason.STATES_FROZEN, f"{since}: the robot repeats tick {self.tick}"
             return Reason.STATES_LATE, since
         if self._stop:

@@ -12,13 +12,13 @@ import time
 
 from surefoot.deploy.dds import services, types
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, Bus
-from surefoot.deploy.dds.keeper import ACTIVE, DONE, damping_frame
+from surefoot.deploy.dds.supervisor import ACTIVE, DONE, damping_frame
 from surefoot.deploy.dds.low_level import STATE_PERIOD
 from surefoot.deploy.dds.processes import LinkConfig, await_readers, serve
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.robot_link import LinkLostError
 
-SILENCE, LOOKS = 0.020, 2
+SILENCE, VISUALS_FILE = 0.020, 2
 """Silence of a keeper that writes commands [s] after which this process damps the motors, and how often it must have
 looked meanwhile: if all processes of the computer stood still, the keeper has not hung."""
 DAMPED = 3.0
@@ -30,9 +30,9 @@ _CHECK_EVERY, _LOOK_EVERY = 0.5, 0.02
 class Watcher:
     """The keeper's heartbeat on one side, a writer of commands on the other."""
 
-    def __init__(self, bus: Bus, keeper: SocketPort) -> None:
+    def __init__(self, bus: Bus, supervisor: SocketPort) -> None:
         self.writer = bus.writer(LOW_COMMAND_TOPIC, types.LowCmd)
-        self._keeper, self._frame = keeper, damping_frame()
+        self._keeper, self._frame = supervisor, damping_frame()
         self._client = services.Client(bus, services.MOTION_SWITCHER)
         self._answer = b"\n"
         """To each of the keeper's beats: the name of the active controller."""
@@ -40,8 +40,8 @@ class Watcher:
     def run(self) -> None:
         """Run until the keeper says goodbye, or until the motors have been damped after it has stopped."""
         last, look, check, silent = ACTIVE[:0], 0.0, 0.0, 0
-        while last != DONE and silent < LOOKS:
-            heard = select.select([self._keeper], (), (), SILENCE / LOOKS)[0]
+        while last != DONE and silent < VISUALS_FILE:
+            heard = select.select([self._keeper], (), (), SILENCE / VISUALS_FILE)[0]
             try:
                 if heard and (data := self._keeper.read()):
                     last, silent = data[-1:], 0

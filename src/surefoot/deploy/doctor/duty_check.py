@@ -19,11 +19,11 @@ from surefoot.stop_signals import StopSignals
 
 MAX_DUTY = 0.2
 """Greatest duty that may be tried."""
-ENOUGH, TOO_FAR = 0.02, 0.3
+MIN_MOTION, MAX_MOTION = 0.02, 0.3
 """Least motion that shows a direction, and motion [rad] from which the motor gets no duty any more."""
 STILL = 0.002
-"""Motion [rad] within `_REST` of legs that hang still."""
-_PERIOD, _REST, _ATTEMPTS = 0.006, 0.3, 50
+"""Motion [rad] within `_REST_TIME` of legs that hang still."""
+_PERIOD, _REST_TIME, _ATTEMPTS = 0.006, 0.3, 50
 
 
 def try_duty(
@@ -48,7 +48,7 @@ def try_duty(
     # Motors without a servo let the legs swing: they must hang still first.
     for _ in range(_ATTEMPTS):
         start = runner.state.motor_angle.copy()
-        runner.ping_until(lambda: False, _REST)
+        runner.ping_until(lambda: False, _REST_TIME)
         if (np.abs(runner.state.motor_angle - start) < STILL).all():
             break
     else:
@@ -57,15 +57,15 @@ def try_duty(
 
     def compute(k: int, state: State, missed: int) -> Array:
         nonlocal far
-        far = far or abs(state.motor_angle[motor] - start[motor]) > TOO_FAR
+        far = far or abs(state.motor_angle[motor] - start[motor]) > MAX_MOTION
         values = np.zeros(robot.num_motors)
         values[motor] = 0.0 if far or k >= steps else duty
         return values
 
     runner.arm()
     try:
-        steps = runner.loop.steps_of(duration)
-        verdict = runner.loop.follow(name, steps + runner.loop.steps_of(_REST), compute)
+        steps = runner.loop.num_steps(duration)
+        verdict = runner.loop.follow(name, steps + runner.loop.num_steps(_REST_TIME), compute)
     finally:
         runner.release(damp=True)
     if verdict.act is not Act.GO:
@@ -73,11 +73,11 @@ def try_duty(
     moved = runner.state.motor_angle - start
     own, most = float(moved[motor]), int(np.argmax(np.abs(moved)))
     message = f"a duty of {duty:g} turned it by {own:.3f} rad"
-    if abs(moved[most]) >= ENOUGH and most != motor:
+    if abs(moved[most]) >= MIN_MOTION and most != motor:
         text = f"{message}, and {robot.motor_names[most]} by {moved[most]:.3f}"
         return CheckResult(name, False, text, "exchange the two motors, or their encoders", own)
-    if abs(own) < ENOUGH:
-        rule = f"; at least {ENOUGH:g} is expected"
+    if abs(own) < MIN_MOTION:
+        rule = f"; at least {MIN_MOTION:g} is expected"
         return CheckResult(name, False, f"{message}{rule}", "check the drive, the encoder, or give a greater duty", own)
     if own * duty < 0:
         remedy = "negate the drive or the encoder, not both; or two motors of the leg are exchanged"

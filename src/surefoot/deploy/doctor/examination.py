@@ -15,7 +15,7 @@ from surefoot.deploy.clock import MonotonicClock
 from surefoot.deploy.doctor import rack_check, tilt_check
 from surefoot.deploy.doctor.link_check import PINGS, check_link, measure_link
 from surefoot.deploy.doctor.rest_check import check_rest, record_states
-from surefoot.deploy.pacer import Pacer, undisturbed
+from surefoot.deploy.pacer import Pacer, real_time_priority
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.errors import SurefootError, choices
@@ -27,7 +27,7 @@ REST_ATTEMPTS = 5
 """How often a robot that is not at rest is observed, for a second each time."""
 STEPS = 2000
 """Control steps of the loop that is timed, and inferences."""
-MAX_SHARE = 0.5
+MAX_STEP_FRACTION = 0.5
 """Share of a control step within which the 99.9th percentile of inference, and of lateness, must be."""
 MAX_MISSED = 0.001
 """Share of control steps that may be missed."""
@@ -98,7 +98,7 @@ def examine(
             if failed:
                 yield from skipped(names, f"nothing moves while a check fails ({choices(failed)})")
                 continue
-            with undisturbed(), StopSignals() as operator:
+            with real_time_priority(), StopSignals() as operator:
                 try:
                     results = motion(link, contract, robot, operator)
                 except SurefootError as error:
@@ -126,7 +126,7 @@ def time_inference(policy: PolicyRuntime, count: int) -> Array:
     width = policy.contract.width
     observations = np.random.default_rng(0).normal(scale=0.3, size=(64, 1, width)).astype(np.float32)
     times = np.empty(count + _WARM_UP)
-    with undisturbed():
+    with real_time_priority():
         for index in range(count + _WARM_UP):
             start = time.perf_counter()
             policy.feedback(observations[index % 64])
@@ -145,7 +145,7 @@ def time_loop(policy: PolicyRuntime, link: RobotLink, steps: int) -> tuple[Array
     observation = np.zeros((1, policy.contract.width), np.float32)
     late: list[float] = []
     missed = 0
-    with undisturbed():
+    with real_time_priority():
         pacer = Pacer(MonotonicClock(), policy.contract.control_step)
         while pacer.index < steps - 1:
             tick = pacer.next()
@@ -165,16 +165,16 @@ def check_computer(inference: Array, late: Array, missed: int, control_step: flo
     return [
         judge(
             "inference",
-            slow <= MAX_SHARE * control_step,
+            slow <= MAX_STEP_FRACTION * control_step,
             f"median {1e3 * median:.3f} ms, 99.9th percentile {1e3 * slow:.3f} ms; a control step has "
             f"{1e3 * control_step:g}",
-            f"; at most {MAX_SHARE:.0%} of it",
+            f"; at most {MAX_STEP_FRACTION:.0%} of it",
             "close other programs, take a faster computer, or train a smaller network",
             median,
         ),
         judge(
             "control loop",
-            worst_late <= MAX_SHARE * control_step and missed <= MAX_MISSED * steps,
+            worst_late <= MAX_STEP_FRACTION * control_step and missed <= MAX_MISSED * steps,
             f"lateness: median {1e3 * median_late:.3f} ms, 99.9th percentile {1e3 * worst_late:.3f} ms; "
             f"{missed} of {steps} steps missed",
             f"; at most {1e3 * MAX_SHARE * control_step:g} ms late and {MAX_MISSED:.1%} missed",

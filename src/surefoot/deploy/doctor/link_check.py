@@ -22,13 +22,13 @@ MAX_CLOCK_ERROR = 0.01
 """Relative error of the robot's clock: crystals differ by .0001, a slow emulator by more."""
 LATE_STEPS = 2
 """Control steps within which 99 of 100 answers must come: a deployment damps the robot after three without one."""
-TIMED = ("link, bursts", "link, round trip", "robot's clock")
+TIMING_CHECKS = ("link, bursts", "link, round trip", "robot's clock")
 _BURST_TIME = 5e-4
 """Frames that come within this time [s] of each other are a burst."""
 
 
 @dataclass(frozen=True)
-class LinkFigures:
+class LinkMetrics:
     """Results of pings. Times in s."""
 
     round_trips: Array
@@ -61,7 +61,7 @@ def receive_until(link: RobotLink, end: float) -> None:
         link.update()
 
 
-def measure_link(link: RobotLink, pings: int) -> LinkFigures:
+def measure_link(link: RobotLink, pings: int) -> LinkMetrics:
     """Send pings, one every `PING_PERIOD`, and receive the answers.
 
     Raises:
@@ -83,7 +83,7 @@ def measure_link(link: RobotLink, pings: int) -> LinkFigures:
     arrivals = np.array([arrival.time for arrival in answers.values()])
     after = (statistics.damaged, statistics.missing, statistics.unsent)
     damaged, missing, unsent = (last - first for first, last in zip(before, after, strict=True))
-    return LinkFigures(
+    return LinkMetrics(
         np.array([arrival.time - sent[token] for token, arrival in answers.items()]),
         pings - len(answers),
         damaged,
@@ -117,7 +117,7 @@ def clock_rate(sent: Array, received: Array) -> float:
     return float((sent[last] - sent[first]) / (received[last] - received[first]))
 
 
-def check_link(figures: LinkFigures, lead: float, control_step: float, lockstep: bool) -> list[CheckResult]:
+def check_link(figures: LinkMetrics, lead: float, control_step: float, lockstep: bool) -> list[CheckResult]:
     """Judge the figures of a link.
 
     Args:
@@ -137,9 +137,9 @@ def check_link(figures: LinkFigures, lead: float, control_step: float, lockstep:
         figures.lost / pings,
     )
     if lockstep:
-        return [losses, *skipped(TIMED, "in lockstep frames take no time", "run without --lockstep")]
+        return [losses, *skipped(TIMING_CHECKS, "in lockstep frames take no time", "run without --lockstep")]
     if not len(trips):
-        return [losses, *skipped(TIMED, "no ping was answered")]
+        return [losses, *skipped(TIMING_CHECKS, "no ping was answered")]
     median, late = map(float, np.percentile(trips, (50, 99)))
     clock_error = figures.clock_rate - 1
     return [

@@ -34,14 +34,14 @@ FRICTION_STEPS, MAX_STEP = 5.0, 0.15
 since a motor may stop short of its target by that angle before the step and after; and the greatest step [rad]."""
 MAX_ERROR = 0.1
 """Greatest difference of a motor's angle from its target, over the step [rad]; more damps all motors."""
-APART, APART_ERROR = 2.0, 0.4
+APART_TIME, APART_ERROR = 2.0, 0.4
 """Time [s] in which legs are moved apart, and the greatest difference of a motor's angle from its target meanwhile
 [rad]: legs that touch hold each other back."""
 SETTLE, HOLD = 0.4, 0.35
 """Time [s] for which the robot is held before the first step, and after each."""
 SHARES = (0.6, 1.4)
 """Least and greatest motion of the motor, in shares of the step: gravity and friction take some."""
-MAX_OTHERS = 0.3
+MAX_OTHER_RATIO = 0.3
 """Greatest motion of any other motor, in shares of the step."""
 LATENCY_TOLERANCE = 0.006
 """Greatest difference of the latency from those in training [s]: a control step of the paper, less than policies that
@@ -92,7 +92,7 @@ def step_motors(
                 command, abduction = "legs were moved apart", robot.leg_motor_index[:, 0]
                 start[abduction] = robot.pose_angles(*robot.poses.sit)[abduction]
                 motion.max_error, allowed = APART_ERROR, motion.max_error
-                motion.go(start, APART)
+                motion.go(start, APART_TIME)
                 motion.hold(start, SETTLE)
                 motion.max_error = allowed
             for motor, middle in enumerate((handshake.angle_low + handshake.angle_high) / 2):
@@ -161,10 +161,10 @@ def check_motors(steps: Sequence[MotorStep], robot: RobotDescription) -> CheckRe
     moved_instead: dict[int, int] = {}
     for step in steps:
         share, motor = step.moved / step.step, step.motor
-        others = [m for m in range(len(names)) if m != motor and abs(share[m]) > MAX_OTHERS]
+        others = [m for m in range(len(names)) if m != motor and abs(share[m]) > MAX_OTHER_RATIO]
         if SHARES[0] <= share[motor] <= SHARES[1] and not others:
             continue
-        if others and abs(share[motor]) <= MAX_OTHERS:
+        if others and abs(share[motor]) <= MAX_OTHER_RATIO:
             other = moved_instead[motor] = max(others, key=lambda m: abs(share[m]))
             error = f"stayed, and {names[other]} went {step.moved[other]:+.3f}"
         else:
@@ -181,7 +181,7 @@ def check_motors(steps: Sequence[MotorStep], robot: RobotDescription) -> CheckRe
     exchanged = [f"{names[a]} with {names[b]}" for a, b in moved_instead.items() if a < b and moved_instead.get(b) == a]
     if exchanged:
         remedy = f"exchanged: {', '.join(exchanged)}; exchange their cables, or their places in the firmware"
-    elif min(shares) < -MAX_OTHERS:
+    elif min(shares) < -MAX_OTHER_RATIO:
         remedy = "turn the sign of what goes the wrong way, of motor or encoder, in the firmware"
     else:
         remedy = "check cables, servo gains and what blocks the leg"
@@ -210,7 +210,7 @@ def check_response(
         servo_period: of the robot [s].
         lead: time from sending a state to its use [s].
     """
-    clear = [s for s in steps if len(s.age) >= _MIN_READINGS and s.moved[s.motor] / s.step > MAX_OTHERS]
+    clear = [s for s in steps if len(s.age) >= _MIN_READINGS and s.moved[s.motor] / s.step > MAX_OTHER_RATIO]
     fits = [fit for fit in (fit_response(s.age, s.share) for s in clear) if fit.error < _MAX_FIT_ERROR]
     if len(fits) < max(len(steps) // 2, 1):
         return skipped(NAMES[1:], f"only {len(fits)} of {len(steps)} motors answered clearly")

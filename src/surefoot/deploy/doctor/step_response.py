@@ -11,7 +11,7 @@ from surefoot.arrays import Array
 
 WINDOW = 0.15
 """Time after a step [s] whose readings are kept."""
-_FITTED_SHARE = 0.5
+_FITTED_FRACTION = 0.5
 """Share of the step up to which readings are fitted: later on the leg's other motor gives way, and its loop bends the
 response in a way that no two poles follow; fits of all readings were up to 6 ms off, these 1."""
 _DELAYS = np.arange(0.0, 0.1, 0.001)
@@ -44,7 +44,7 @@ def fit_response(age: Array, share: Array) -> StepResponse:
     """
     order = np.argsort(age, kind="stable")
     age, share = age[order], share[order]
-    early = np.flatnonzero(share > _FITTED_SHARE)
+    early = np.flatnonzero(share > _FITTED_FRACTION)
     fitted = age <= (age[early[0]] if len(early) else WINDOW)
     points = age[fitted], share[fitted]
     best, frequency, damping = _search_grid(*points, _DELAYS, _FREQUENCIES, _DAMPINGS)
@@ -52,7 +52,7 @@ def fit_response(age: Array, share: Array) -> StepResponse:
         delays = best.delay + np.linspace(-width, width, 21)
         factors = np.geomspace(1 / spread, spread, 9)
         best, frequency, damping = _search_grid(*points, delays[delays >= 0], frequency * factors, damping * factors)
-    return replace(best, rise=_crossing(age, share, 1 - np.exp(-1)) - best.delay)
+    return replace(best, rise=_crossing_time(age, share, 1 - np.exp(-1)) - best.delay)
 
 
 def _search_grid(
@@ -81,7 +81,7 @@ def _unit_responses(one: NDArray[np.complex128], other: NDArray[np.complex128], 
     return response
 
 
-def _crossing(age: Array, share: Array, level: float) -> float:
+def _crossing_time(age: Array, share: Array, level: float) -> float:
     """Return when readings first pass a level [s], interpolated linearly; `WINDOW`, if never."""
     above = np.flatnonzero(share >= level)
     if not len(above) or above[0] == 0:

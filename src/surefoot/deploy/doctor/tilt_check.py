@@ -22,15 +22,15 @@ from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
-RISE, SETTLE, TILT_TIME = 1.5, 0.6, 0.8
+RISE_TIME, SETTLE, TILT_TIME = 1.5, 0.6, 0.8
 """Time [s] to stand up, to settle, and to go into a tilt."""
 MAX_ERROR = 0.8
 """Greatest difference of a motor's angle from its target [rad]: legs that carry the robot give way by some .2 rad."""
 MIN_TILT = 0.03
 """Least tilt [rad]; half of what the legs give, or less."""
-MAX_OTHER = 0.5
+MAX_CROSS_RATIO = 0.5
 """Greatest turn about the other axis, as a share of the tilt."""
-RATE_SHARE, RATE_TOLERANCE = 0.3, 0.015
+RELATIVE_TOLERANCE, RATE_TOLERANCE = 0.3, 0.015
 """Greatest difference of the gyro's integral from the change of the angle: as a share, and [rad]."""
 _SETTLED = 25
 NAMES = ("IMU, nose down", "IMU, left side down", "IMU, rates")
@@ -77,7 +77,7 @@ def tilt_robot(
     motion = DoctorMotion(link, robot, contract.control_step, operator, MAX_ERROR, sits=True)
     try:
         with motion:
-            motion.go(stand, RISE)
+            motion.go(stand, RISE_TIME)
             tilts = []
             for side in SIDES:
                 motion.hold(stand, SETTLE)
@@ -117,7 +117,7 @@ def check_tilts(front: TiltReading, left: TiltReading) -> list[CheckResult]:
     for axis, reading in ((1, front), (0, left)):
         angle, turned = float(reading.angles[axis]), float(reading.turned[axis])
         rates.append(f"{AXES[axis]} changed by {angle:+.3f} rad, its rate says {turned:+.3f}")
-        agree &= abs(turned - angle) <= max(RATE_SHARE * abs(angle), RATE_TOLERANCE)
+        agree &= abs(turned - angle) <= max(RELATIVE_TOLERANCE * abs(angle), RATE_TOLERANCE)
     return [
         _check_tilt(NAMES[0], "front legs shorter", front.angles, 1, 1.0),
         _check_tilt(NAMES[1], "left legs shorter", left.angles, 0, -1.0),
@@ -125,7 +125,7 @@ def check_tilts(front: TiltReading, left: TiltReading) -> list[CheckResult]:
             NAMES[2],
             agree,
             "; ".join(rates),
-            f"; they must agree within {RATE_SHARE:.0%}",
+            f"; they must agree within {RELATIVE_TOLERANCE:.0%}",
             "check axes, signs and units (rad/s) of the gyro in the firmware",
         ),
     ]
@@ -133,7 +133,7 @@ def check_tilts(front: TiltReading, left: TiltReading) -> list[CheckResult]:
 
 def _check_tilt(name: str, condition: str, angles: Array, axis: int, sign: float) -> CheckResult:
     main, other = float(angles[axis]), float(angles[1 - axis])
-    if abs(other) >= MIN_TILT and abs(main) <= MAX_OTHER * abs(other):
+    if abs(other) >= MIN_TILT and abs(main) <= MAX_CROSS_RATIO * abs(other):
         remedy = (
             "the IMU's x and y are exchanged, or legs are: set its mounting in the firmware, and check the legs' cables"
         )
@@ -147,7 +147,7 @@ def _check_tilt(name: str, condition: str, angles: Array, axis: int, sign: float
         )
     return judge(
         name,
-        sign * main >= MIN_TILT and abs(other) <= MAX_OTHER * abs(main),
+        sign * main >= MIN_TILT and abs(other) <= MAX_CROSS_RATIO * abs(main),
         f"{condition}: {AXES[axis]} {main:+.3f}, {AXES[1 - axis]} {other:+.3f} rad",
         f"; {AXES[axis]} must {'grow' if sign > 0 else 'fall'} by {MIN_TILT:g} rad or more, {AXES[1 - axis]} stay",
         remedy,

@@ -77,7 +77,7 @@ class Decoder:
         self._overlong = False
         if not stuffed and not overlong:
             return None
-        body = b"" if overlong else _unstuffed(stuffed)
+        body = b"" if overlong else _decode_body(stuffed)
         if len(body) < HEADER.size:
             self.statistics.damaged += 1
             return None
@@ -94,7 +94,7 @@ class Decoder:
         return Packet(message, sequence, time / 1_000_000)
 
 
-def _unstuffed(stuffed: bytes) -> bytes:
+def _decode_body(stuffed: bytes) -> bytes:
     """Return header and payload, or nothing if the frame is damaged."""
     try:
         whole = cobs.decode(stuffed)

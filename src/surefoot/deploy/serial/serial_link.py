@@ -8,7 +8,7 @@ from typing import Protocol
 
 from surefoot.deploy.clock import Clock, LockstepClock
 from surefoot.deploy.messages import Bye, Handshake, Hello, Message, Packet, Ping, Pong, Position, Pwm
-from surefoot.deploy.robot_link import Arrival, RobotLink
+from surefoot.deploy.robot_link import ReceivedPacket, RobotLink
 from surefoot.deploy.serial.codec import VERSION, Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.errors import SurefootError
@@ -57,7 +57,7 @@ class SerialLink(RobotLink):
         self.awaits_handshake = False
         """Whether the session's handshake is awaited. It is the one frame that is taken whatever its number."""
         self._sequence = self._last = 0
-        self._inbox: list[Arrival] = []
+        self._inbox: list[ReceivedPacket] = []
         self._held, self._unread = b"", b""
         if isinstance(clock, LockstepClock):
             clock.follow = self._follow
@@ -86,7 +86,7 @@ class SerialLink(RobotLink):
             # Half a frame is no frame; the zero in front of the next one ends it.
             self.statistics.unsent += 1
 
-    def receive(self) -> list[Arrival]:
+    def receive(self) -> list[ReceivedPacket]:
         """Return all packets that have come since, in order; never waits."""
         if self.lockstep:
             self._unread += self.port.read()
@@ -95,10 +95,10 @@ class SerialLink(RobotLink):
         arrivals, self._inbox = self._inbox, []
         return arrivals
 
-    def _gather(self) -> list[Arrival]:
+    def _gather(self) -> list[ReceivedPacket]:
         data, now = self._unread + self.port.read(), self.clock.now()
         self._unread = b""
-        arrivals = [Arrival(packet, now) for packet in self.decoder.feed(data) if self._is_next(packet)]
+        arrivals = [ReceivedPacket(packet, now) for packet in self.decoder.feed(data) if self._is_next(packet)]
         self._inbox += arrivals
         return arrivals
 
@@ -120,7 +120,7 @@ class SerialLink(RobotLink):
         """Wait until something can be received, at most `timeout` [s]."""
         self.port.wait(timeout)
 
-    def ping_through(self, patience: Sequence[float] = _PATIENCE) -> bool:
+    def await_pong(self, patience: Sequence[float] = _PATIENCE) -> bool:
         """Send a ping, wait for its pong, and return whether it arrived. Other packets are kept for `receive`.
 
         The ping is repeated after each of the timeouts `patience` [s]. A repetition is the same frame with the same
@@ -143,7 +143,7 @@ class SerialLink(RobotLink):
         return False
 
     def _follow(self) -> None:
-        if not self.ping_through():
+        if not self.await_pong():
             raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")
 
     def protocol_error(self) -> str | None:

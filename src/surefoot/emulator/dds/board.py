@@ -16,11 +16,11 @@ from surefoot.emulator.dds.motion_service import EmulatedMotionService
 from surefoot.emulator.dds.own_controller import OwnController
 from surefoot.emulator.fault_table import InjectedFault
 from surefoot.emulator.faults import FaultInjector
-from surefoot.emulator.plant import JointOrder, Plant
+from surefoot.emulator.plant import JointCommand, Plant
 from surefoot.seeding import generator
 
 
-def read_order(command: Record, motors: int) -> JointOrder | None:
+def read_joint_command(command: Record, motors: int) -> JointCommand | None:
     """Return what the vendor's PD law asks of motors; None if a number is not finite.
 
     A motor whose mode is not `SERVO` gets no torque. `POS_STOP` as an angle and `VEL_STOP` as a speed mean none: the
@@ -33,7 +33,7 @@ def read_order(command: Record, motors: int) -> JointOrder | None:
     on = sent["mode"] == SERVO
     kp *= on & (sent["q"] != np.float32(POS_STOP))
     kd *= on & (sent["dq"] != np.float32(VEL_STOP))
-    return JointOrder(angle, speed, feedforward * on, kp, kd)
+    return JointCommand(angle, speed, feedforward * on, kp, kd)
 
 
 class Go2Board:
@@ -74,7 +74,7 @@ class Go2Board:
         self._message = StateMessage(plant, lead, seed)
         self._random = generator(seed, "order of commands")
         none = np.zeros(plant.robot.num_motors)
-        self._order = self._limp = JointOrder(none, none, none, none, none)
+        self._order = self._limp = JointCommand(none, none, none, none, none)
         self._commanded = self._service_back = False
         self._next_state = self._booted = self._switched_on = 0
 
@@ -105,7 +105,7 @@ class Go2Board:
         self._message.accelerometer.measure()
         if faults.any:
             injector.tick(now, self._commanded)
-            self._strike(now)
+            self._apply_faults(now)
         for observe in self.on_step:
             observe(now)
         if now < max(self._booted, injector.hangs_until):
@@ -118,7 +118,7 @@ class Go2Board:
             self._service.step(now, self._message.record)
         self._obey(now)
 
-    def _strike(self, now: int) -> None:
+    def _apply_faults(self, now: int) -> None:
         """Do what faults do to the whole robot."""
         injector = self._injector
         if injector.active("unplug"):
@@ -151,7 +151,7 @@ class Go2Board:
         for command in reversed(arrived):
             if faults.any and faults.drops_command():
                 continue
-            order = read_order(command, motors)
+            order = read_joint_command(command, motors)
             if order is not None:
                 orders.append(order)
                 self._commanded = True
@@ -160,7 +160,7 @@ class Go2Board:
         for own in (self.controller.command(now, angles), faults.other_command(angles)):
             if own is not None:
                 link.publish_command(own)
-                order = read_order(own, motors)
+                order = read_joint_command(own, motors)
                 assert order is not None
                 orders.append(order)
         if orders:

@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.deploy.dds.low_level import STATE_PERIOD, Record, Remote, new_command
+from surefoot.deploy.dds.low_level import STATE_PERIOD, Record, RemoteControl, new_command
 from surefoot.emulator.dds.low_state import StateMessage
 from surefoot.emulator.faults import FaultInjector, flip_bits
-from surefoot.emulator.plant import JointOrder
+from surefoot.emulator.plant import JointCommand
 from surefoot.seeding import generator
 
-_LAYOUT_CUT = 12
+_OMITTED_BYTES = 12
 """Bytes that the other layout lacks at its end: `fan_frequency` and `reserve`."""
 _HEADER_BITS = 32
 """Bits of a message's encapsulation, which are never damaged."""
-_STOP = Remote(frozenset({"L2", "B"}), 0.0, 0.0, 0.0, 0.0)
-_STICK = Remote(frozenset(), 0.0, 0.8, 0.0, 0.0)
+_STOP = RemoteControl(frozenset({"L2", "B"}), 0.0, 0.0, 0.0, 0.0)
+_STICK = RemoteControl(frozenset(), 0.0, 0.8, 0.0, 0.0)
 _OTHER_GAINS = 5.0, 1.0
 """Gains of the other program: those of the vendor's low-level example."""
 
@@ -42,14 +42,14 @@ class MessageFaults:
         self._old: bytes | None = None
         self._late: bytes | None = None
         self._lost: tuple[float, ...] | None = None
-        self._kept: JointOrder | None = None
+        self._kept: JointCommand | None = None
         self._other: Record | None = None
 
     def _motor(self, name: str) -> int | None:
         fault = self._injector.active(name)
         return None if fault is None else int(fault.value)
 
-    def _strikes(self, name: str) -> bool:
+    def _occurs(self, name: str) -> bool:
         fault = self._injector.active(name)
         return fault is not None and bool(self._random.random() < fault.value)
 
@@ -65,7 +65,7 @@ class MessageFaults:
         fault = self._injector.active("late-states")
         return 0 if fault is None else round(1e6 * fault.value)
 
-    def order(self, order: JointOrder) -> JointOrder:
+    def order(self, order: JointCommand) -> JointCommand:
         """Return what the motors get instead of an order."""
         servo, sign = self._injector.wiring()
         columns = {name: values[servo] for name, values in vars(order).items()}
@@ -80,11 +80,11 @@ class MessageFaults:
         if (motor := self._motor("motor-off")) is not None:
             for name in ("feedforward", "kp", "kd"):
                 columns[name][motor] = 0.0
-        return JointOrder(**columns)
+        return JointCommand(**columns)
 
     def drops_command(self) -> bool:
         """Return whether a command is lost on its way, or damaged and thus ignored."""
-        return self._strikes("drop") or self._strikes("corrupt")
+        return self._occurs("drop") or self._occurs("corrupt")
 
     def change(self, message: StateMessage, now: int) -> None:
         """Change the state in a message before it is packed."""
@@ -123,16 +123,16 @@ class MessageFaults:
         if injector.active("stale-state"):
             data = self._old = self._old or data
         if injector.active("other-layout"):
-            data = data[:-_LAYOUT_CUT]
-        if self._strikes("drop"):
+            data = data[:-_OMITTED_BYTES]
+        if self._occurs("drop"):
             return []
-        if self._strikes("corrupt"):
+        if self._occurs("corrupt"):
             data = flip_bits(data, self._random, first=_HEADER_BITS)
         late, self._late = self._late, None
-        if late is None and self._strikes("reorder"):
+        if late is None and self._occurs("reorder"):
             self._late = data
             return []
-        packets = [data, data] if self._strikes("duplicate") else [data]
+        packets = [data, data] if self._occurs("duplicate") else [data]
         return packets if late is None else [*packets, late]
 
     def other_command(self, angles: Array) -> Record | None:

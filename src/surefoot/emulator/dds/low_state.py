@@ -20,7 +20,7 @@ _IMU_TEMPERATURE = 79
 _BMS_VERSION, _BMS_STATUS = (1, 16), 8
 _RESERVE = 0, 525
 """The IMU's temperature [degC], versions and `reserve` of motors, as a real robot's message has them."""
-_LOST = 5, 13
+_LOST_RANGE = 5, 13
 """Range of the counts of lost messages of a motor at rest: a recorded robot had 5 to 12."""
 
 
@@ -76,7 +76,7 @@ class StateMessage:
         self._imu, self._bms = record["imu_state"], record["bms_state"]
         record["head"] = HEAD
         self.motors["mode"], self.motors["reserve"] = SERVO, _RESERVE
-        self.motors["lost"] = generator(seed, "emulated lost messages").integers(*_LOST, motors)
+        self.motors["lost"] = generator(seed, "emulated lost messages").integers(*_LOST_RANGE, motors)
         self._imu["temperature"] = _IMU_TEMPERATURE
         self._bms["version_high"], self._bms["version_low"] = _BMS_VERSION
         self._bms["status"] = _BMS_STATUS

@@ -8,7 +8,7 @@ from surefoot.deploy.dds.low_level import Record
 from surefoot.emulator.dds.own_controller import OwnController
 from surefoot.emulator.plant import Plant
 
-_SERVE_EVERY, _STATE_EVERY = 10_000, 20_000
+_SERVE_PERIOD, _STATE_PERIOD = 10_000, 20_000
 """Times [us] between two looks for requests, and between two states of the controller; a real robot's is not known."""
 
 
@@ -40,10 +40,10 @@ class EmulatedMotionService:
         """Answer requests, and publish the controller's state where one is due; `state` is the robot's last one."""
         if self._controller.wedged:
             return
-        if now % _SERVE_EVERY == 0:
+        if now % _SERVE_PERIOD == 0:
             for server in self._servers:
                 server.serve()
-        if self._controller.active and now % _STATE_EVERY == 0:
+        if self._controller.active and now % _STATE_PERIOD == 0:
             self._states.write_message(self._state(now, state))
 
     def _state(self, now: int, state: Record) -> types.SportModeState:

@@ -27,7 +27,7 @@ _UP, _DOWN = 1.0, 1.8
 """Times [s] for folding the legs, for stretching them, and for lying down: the same example."""
 NOT_ACTIVE = 4202
 """Error of the sport service that is not initialized (unitree_sdk2_python, `go2/sport/sport_api.py`)."""
-_WEDGES = "normal"
+_BLOCKING_MODE = "normal"
 """Mode of former software. Owners report that selecting it wedges a new robot until it is switched off."""
 
 
@@ -62,7 +62,7 @@ class OwnController:
     def select_mode(self, parameter: str) -> Answer:
         """Become active."""
         name = parse_object(parameter).get("name")
-        if name == _WEDGES:
+        if name == _BLOCKING_MODE:
             self.wedged = True
         if name != OWN_CONTROLLER:
             return BAD_PARAMETER, ""

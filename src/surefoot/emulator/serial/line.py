@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from surefoot.emulator.fault_table import HARMS
+from surefoot.emulator.fault_table import LINE_FAULTS
 from surefoot.emulator.faults import flip_bits
 
 BITS_PER_BYTE = 10
@@ -27,7 +27,7 @@ class Line:
     """
 
     def __init__(self, random: np.random.Generator, baud: float = 0.0, batch: float = 0.0) -> None:
-        self.chances: Mapping[str, float] = {}
+        self.probabilities: Mapping[str, float] = {}
         """Chance of each harm that may happen now, 0 to 1 per frame."""
         self.counts: Counter[str] = Counter()
         """Frames to which something happened, by harm."""
@@ -66,39 +66,39 @@ class Line:
             self._open.clear()
 
     def _send_frame(self, now: int, frame: bytes) -> None:
-        if not self.chances:
+        if not self.probabilities:
             self._put(now, frame)
             return
         late, self._late = self._late, None
-        for piece in self._harmed(frame):
+        for piece in self._apply_faults(frame):
             self._put(now, piece)
         if late is not None:
             self._put(now, late)
 
-    def _harmed(self, frame: bytes) -> list[bytes]:
+    def _apply_faults(self, frame: bytes) -> list[bytes]:
         """Return the pieces that a frame becomes; keep a frame that arrives after the next one."""
         random = self._random
-        draws = dict(zip(HARMS, random.random(len(HARMS)).tolist(), strict=True))
+        draws = dict(zip(LINE_FAULTS, random.random(len(LINE_FAULTS)).tolist(), strict=True))
 
-        def strikes(harm: str) -> bool:
-            hit = draws[harm] < self.chances.get(harm, 0.0)
+        def occurs(harm: str) -> bool:
+            hit = draws[harm] < self.probabilities.get(harm, 0.0)
             self.counts[harm] += hit
             return hit
 
         pieces = []
-        if strikes("garbage"):
+        if occurs("garbage"):
             pieces.append(random.bytes(int(random.integers(1, 64))))
-        if strikes("drop"):
+        if occurs("drop"):
             return pieces
-        if strikes("cut-frames"):
+        if occurs("cut-frames"):
             at = int(random.integers(1, len(frame) - 1))
             frame = frame[:at] if random.random() < 0.5 else frame[at:]
-        if strikes("corrupt"):
+        if occurs("corrupt"):
             frame = flip_bits(frame, random)
-        if strikes("reorder"):
+        if occurs("reorder"):
             self._late = frame
             return pieces
-        return [*pieces, frame, frame] if strikes("duplicate") else [*pieces, frame]
+        return [*pieces, frame, frame] if occurs("duplicate") else [*pieces, frame]
 
     def _put(self, now: int, data: bytes) -> None:
         at = float(now)

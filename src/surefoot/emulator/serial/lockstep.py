@@ -15,14 +15,14 @@ from surefoot.emulator.serial.serial_host_link import HostPort, SerialHostLink
 
 PATIENCE = 2.0
 """Time [s] that a host has to read what the robot sends."""
-_IDLE = 0.05
+_WAIT_TIME = 0.05
 _POLL_PERIOD = 0.005
 """Time [s] between two checks whether a host has opened the port."""
 _STRIDE = 10_000
 """Robot time [us] that passes at once while nobody has the port open."""
 
 
-class Lockstep:
+class LockstepLoop:
     """Advances a board by the times in the frames that arrive.
 
     Before a frame is handed over, the robot runs to the frame's time and sends what is due until then. So a host that
@@ -51,16 +51,16 @@ class Lockstep:
         end = sys.maxsize if until is None else microseconds(until)
         with measure(board, summary):
             while not summary.stop and board.now < end:
-                if port.deserted():
+                if port.has_no_host():
                     self._pass_time()
                     time.sleep(_POLL_PERIOD)  # nothing to wait for would wake the process
-                elif port.wait(_IDLE) and (data := port.read()):
+                elif port.wait(_WAIT_TIME) and (data := port.read()):
                     self._receive(data)
 
     def _pass_time(self) -> None:
         """Let robot time go on until another operator may connect; what the robot sends meanwhile is lost."""
         board = self.board
-        while board.firmware.is_taken(board.now) and not self._summary.stop:
+        while board.firmware.has_operator(board.now) and not self._summary.stop:
             board.run_to(board.now + _STRIDE)
             self._link.take(board.now)
 

@@ -51,7 +51,7 @@ class PtyPort:
         except OSError:  # nobody
             return b""
 
-    def deserted(self) -> bool:
+    def has_no_host(self) -> bool:
         """Return whether no host has the port open and all that was written is read; False, if it is held."""
         events = sum(event for _, event in self._hangup.poll(0))
         return bool(events & select.POLLHUP) and not events & select.POLLIN

@@ -56,13 +56,13 @@ class SerialHostLink:
         return self.frames.statistics
 
     @property
-    def chances(self) -> Mapping[str, float]:
+    def probabilities(self) -> Mapping[str, float]:
         """Chance of each harm that may happen now, 0 to 1 per frame."""
-        return self.inbound.chances
+        return self.inbound.probabilities
 
-    @chances.setter
-    def chances(self, chances: Mapping[str, float]) -> None:
-        self.inbound.chances = self.outbound.chances = chances
+    @probabilities.setter
+    def probabilities(self, probabilities: Mapping[str, float]) -> None:
+        self.inbound.probabilities = self.outbound.probabilities = probabilities
 
     @property
     def next_arrival(self) -> float:

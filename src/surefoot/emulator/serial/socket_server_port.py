@@ -50,7 +50,7 @@ class SocketServerPort:
         self._host = SocketPort(end, "the host")
         self.write(GREETING)
 
-    def deserted(self) -> bool:
+    def has_no_host(self) -> bool:
         """Return whether no host is connected."""
         self._accept()
         return self._host is None
@@ -61,10 +61,10 @@ class SocketServerPort:
         try:
             return self._host.read() if self._host is not None else b""
         except LinkLostError:
-            self._leave()
+            self._disconnect()
             return b""
 
-    def _leave(self) -> None:
+    def _disconnect(self) -> None:
         if self._host is not None:
             self._host.close()
             self._host = None
@@ -83,10 +83,10 @@ class SocketServerPort:
                     self.unread += 1
                     return
         except LinkLostError:
-            self._leave()
+            self._disconnect()
 
     def close(self) -> None:
         """Hang up, and remove the socket."""
-        self._leave()
+        self._disconnect()
         self._listener.close()
         Path(self.path).unlink(missing_ok=True)

@@ -27,12 +27,12 @@ from surefoot.identify.ground.motion import (
 from surefoot.identify.ground.plans import ends, sides
 from surefoot.identify.model import GAIN_DEVIATION
 from surefoot.identify.recording import Recording
-from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, with_floor
+from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, add_model_error
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 
 STILL = ("stand still", "squat slowly")
 """Phases without fast motion: the mean force on the feet is the weight."""
-TURNING = ("nod",)
+NODDING_PHASES = ("nod",)
 """Phases in which the base turns fast about y."""
 ROUNDS = 4
 MAX_INERTIA_DEVIATION = 0.15
@@ -46,7 +46,7 @@ MIN_SAMPLES = 40
 RELATIVE_ACCURACY = 0.04
 """Least deviation of friction, stiffness and damping, as a share of the value: the legs' masses, torques and the feet's
 roundness affect all forces."""
-TREND = 0.5
+DETREND_TIME = 0.5
 """Time [s] of the moving average that is subtracted from heights and forces: the gyro's errors accumulate."""
 
 
@@ -55,7 +55,7 @@ def fit_mass(
 ) -> Identification:
     """Return the result of the mass experiment; see `Experiment.fit`."""
     standing = ground_motion(robot, recording, prior, sensors)
-    still, turning = standing.during(*STILL), standing.during(*TURNING)
+    still, turning = standing.during(*STILL), standing.during(*NODDING_PHASES)
     notes = []
     accuracy = float(sensors.get("torque_accuracy", GAIN_DEVIATION / np.sqrt(robot.num_motors)))
     if "torque_gain" not in sensors:
@@ -78,9 +78,9 @@ def fit_mass(
     # Moments are in proportion to forces, and the legs' inertia acts with the base's.
     inertia_spread = inertia * float(np.hypot(np.sqrt(variance), 2 * accuracy))
     identifiable = inertia_spread < MAX_INERTIA_DEVIATION * inertia
-    inertia_spread = with_floor("base_inertia_ratio", inertia, inertia_spread)
+    inertia_spread = add_model_error("base_inertia_ratio", inertia, inertia_spread)
     ratio = float(params.base_mass_ratio[0])
-    ratio_spread = with_floor("base_mass_ratio", ratio, mass_spread / base * ratio)
+    ratio_spread = add_model_error("base_mass_ratio", ratio, mass_spread / base * ratio)
     if identifiable:
         notes.append("base_inertia_ratio is identified from turns about y alone, and taken for all axes")
     else:
@@ -93,7 +93,7 @@ def fit_mass(
             ParameterEstimate.within_bounds(
                 robot, "base_inertia_ratio", inertia, inertia_spread, identifiable=identifiable
             ),
-            ParameterEstimate("total_mass", total, with_floor("total_mass", total, mass_spread), "kg", low=0.0),
+            ParameterEstimate("total_mass", total, add_model_error("total_mass", total, mass_spread), "kg", low=0.0),
             *_centre_of_mass(robot, standing, forces, still, accuracy),
         ),
         notes=tuple(notes),
@@ -275,7 +275,7 @@ def _compliance(
 
 def _detrend(values: Array, step: float) -> Array:
     """Return values (T,) less their moving average."""
-    half = round(TREND / step)
+    half = round(DETREND_TIME / step)
     kernel = np.ones(2 * half + 1) / (2 * half + 1)
     slow: Array = np.convolve(np.pad(values, half, mode="edge"), kernel, "valid")
     return values - slow

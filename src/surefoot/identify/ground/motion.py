@@ -21,9 +21,9 @@ STEP = 0.002
 """Time between two values [s], before subsampling."""
 SUBSAMPLE_STRIDE = 5
 """One value of so many is kept: smoothed values next to each other are alike."""
-SMOOTHING = 15
+SMOOTHING_WINDOW = 15
 """Values that a cubic is fitted to, for smoothing and derivatives (Savitzky and Golay 1964): 30 ms, up to 20 Hz."""
-LEVELLING = 2.0
+TILT_TIME_CONSTANT = 2.0
 """Time constant [s] of the filter that draws the gyro's angles to those of the IMU, whose noise is large."""
 MAX_TILT = 0.3
 """Roll or pitch [rad] beyond which a robot does not stand."""
@@ -144,7 +144,7 @@ def _torque_excess(robot: RobotDescription, recording: Recording, params: Physic
 
 
 def _smooth(values: Array, derivative: int = 0) -> Array:
-    return np.asarray(savgol_filter(values, SMOOTHING, 3, deriv=derivative, delta=STEP, axis=0))
+    return np.asarray(savgol_filter(values, SMOOTHING_WINDOW, 3, deriv=derivative, delta=STEP, axis=0))
 
 
 def _filter_tilt(tilt: Array, rate: Array) -> Array:
@@ -153,7 +153,7 @@ def _filter_tilt(tilt: Array, rate: Array) -> Array:
     now = tilt[: max(int(0.2 / STEP), 1)].mean(axis=0)
     for k in range(len(tilt)):
         now = now + STEP * rate[k]
-        now = now + (tilt[k] - now) * STEP / LEVELLING
+        now = now + (tilt[k] - now) * STEP / TILT_TIME_CONSTANT
         out[k] = now
     # A constant error of the gyro has become one of the angles; the IMU has none in the mean.
     return out + (tilt - out).mean(axis=0)

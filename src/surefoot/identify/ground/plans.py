@@ -9,9 +9,9 @@ from surefoot.deploy.poses import minimum_jerk, sitting_pose
 from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, Use, hold, sweep, transition
 from surefoot.robot import RobotDescription
 
-DROP = 1.4
+DROP_TIME = 1.4
 """Length of a drop [s]."""
-DRAG, STROKE, DRAGGING = 0.3, 0.7, 4.0
+DRAG, STROKE, DRAG_TIME = 0.3, 0.7, 4.0
 """Swing [rad], time for there and back, and length of a phase [s]."""
 
 
@@ -25,7 +25,7 @@ def sides(robot: RobotDescription) -> Array:
     return np.where(robot.leg_mounts[:, 1] > 0, 1.0, -1.0)
 
 
-def standing_up(robot: RobotDescription) -> list[Phase]:
+def stand_up_phases(robot: RobotDescription) -> list[Phase]:
     """Return the phases from any pose of a damped robot to standing.
 
     Folded legs swing out beside the body first, unfold there, and are drawn in: legs that unfold under the body on a
@@ -59,7 +59,7 @@ def ground_plan(robot: RobotDescription, name: str, *phases: Phase) -> Plan:
     low, high = robot.pose_angles(0.0, 0.0), robot.pose_angles(0.0, 1.2 * robot.experiments.high)
     reach = 1.5  # legs of a robot that lies are far to a side
     limits = ExperimentLimits(robot.experiments.torque)
-    return Plan(name, False, (*standing_up(robot), *phases, sit), low - reach, high + reach, 0.0, limits)
+    return Plan(name, False, (*stand_up_phases(robot), *phases, sit), low - reach, high + reach, 0.0, limits)
 
 
 def drop(robot: RobotDescription, use: Use = "fit") -> Phase:
@@ -72,10 +72,10 @@ def drop(robot: RobotDescription, use: Use = "fit") -> Phase:
             return minimum_jerk(start, high, t / 0.4)
         return low if t < 1.0 else minimum_jerk(low, stand, (t - 1.0) / 0.3)
 
-    return Phase("drop", "the robot rises, and drops by some centimetres", DROP, signal, use=use)
+    return Phase("drop", "the robot rises, and drops by some centimetres", DROP_TIME, signal, use=use)
 
 
-def rocking(
+def extension_chirp(
     robot: RobotDescription, share: Array, amplitude: float, first: float, last: float, duration: float
 ) -> Signal:
     """Return `chirps` of the extension [rad] around standing; each leg moves by its `share` (L,)."""
@@ -90,7 +90,7 @@ def rocking(
 def _nod(robot: RobotDescription, name: str, amplitude: float, first: float, last: float, duration: float,
          use: Use = "fit") -> Phase:  # fmt: skip
     what = f"front and back legs {amplitude:g} rad against each other, from {first:g} to {last:g} Hz"
-    return Phase(name, what, duration, rocking(robot, ends(robot), amplitude, first, last, duration), use=use)
+    return Phase(name, what, duration, extension_chirp(robot, ends(robot), amplitude, first, last, duration), use=use)
 
 
 def mass_plan(robot: RobotDescription) -> Plan:
@@ -98,9 +98,9 @@ def mass_plan(robot: RobotDescription) -> Plan:
     use = robot.experiments
     legs = np.ones(len(robot.legs))
     still = Phase("stand still", "the robot stands still", 1.0, hold(robot.pose_angles(0.0, use.stance)))
-    squat = rocking(robot, legs, use.squat, 0.5, 0.5, 4.0)
+    squat = extension_chirp(robot, legs, use.squat, 0.5, 0.5, 4.0)
     small = use.part("squat", 2 / 3)
-    fast = rocking(robot, legs, small, 1.0, 3.0, 3.0)
+    fast = extension_chirp(robot, legs, small, 1.0, 3.0, 3.0)
     return ground_plan(
         robot,
         "mass",
@@ -121,15 +121,15 @@ def contact_plan(robot: RobotDescription) -> Plan:
     """Return the plan of the contact experiment: drag one diagonal pair of feet, then the other; drop and nod."""
     use = robot.experiments
     small = use.part("nod", 2 / 3)
-    roll = rocking(robot, sides(robot), small, 1.0, 4.0, 3.0)
+    roll = extension_chirp(robot, sides(robot), small, 1.0, 4.0, 3.0)
     what = f"two feet, made light, are dragged {DRAG:g} rad to and fro"
     return ground_plan(
         robot,
         "contact",
         drop(robot),
-        Phase("drag", what, DRAGGING, _dragging(robot, 1.0)),
+        Phase("drag", what, DRAG_TIME, _dragging(robot, 1.0)),
         drop(robot),
-        Phase("drag", what, DRAGGING, _dragging(robot, -1.0)),
+        Phase("drag", what, DRAG_TIME, _dragging(robot, -1.0)),
         drop(robot),
         _nod(robot, "nod", use.nod, 1.0, 5.0, 4.0),
         drop(robot),
@@ -143,8 +143,8 @@ def _dragging(robot: RobotDescription, diagonal: float) -> Signal:
     light = ends(robot) * sides(robot) == diagonal
 
     def signal(t: float, start: Array) -> Array:
-        lift = np.clip(min(t, DRAGGING - t) / 0.5, 0.0, 1.0)
-        fade = np.clip(min(t - 0.5, DRAGGING - 0.5 - t) / 0.3, 0.0, 1.0)
+        lift = np.clip(min(t, DRAG_TIME - t) / 0.5, 0.0, 1.0)
+        fade = np.clip(min(t - 0.5, DRAG_TIME - 0.5 - t) / 0.3, 0.0, 1.0)
         swing = np.where(light, ends(robot) * DRAG * fade * np.sin(2 * np.pi * (t - 0.5) / STROKE), 0.0)
         return robot.pose_angles(swing, use.stance - np.where(light, use.lift * lift, 0.0))
 

@@ -95,11 +95,11 @@ def _table_from_arrays(arrays: Mapping[Any, Any]) -> ColumnTable:
         if array.size > rows * MAX_COLUMNS or array.size > MAX_NUMBERS:
             raise SurefootError(f"{name} has shape {array.shape}; it is too large")
         flat = array.reshape(rows, -1).astype(float)
-        columns |= {_place_name(name, place): flat[:, k] for k, place in enumerate(np.ndindex(array.shape[1:]))}
+        columns |= {_element_name(name, place): flat[:, k] for k, place in enumerate(np.ndindex(array.shape[1:]))}
     return ColumnTable(columns)
 
 
-def _place_name(name: str, place: tuple[int, ...]) -> str:
+def _element_name(name: str, place: tuple[int, ...]) -> str:
     return name + (f"[{','.join(map(str, place))}]" if place else "")
 
 
@@ -129,7 +129,7 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-class _ArrayClass:
+class _NdarrayClass:
     """Stands for numpy's ndarray class in a pickle, which only names it."""
 
 
@@ -168,7 +168,7 @@ _SAFE_CLASSES: dict[tuple[str, str], Any] = {
     **{(f"numpy.{core}.multiarray", "_reconstruct"): _PickledArray for core in ("core", "_core")},
     **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")},
     **{(f"numpy.{core}.numeric", "_frombuffer"): _from_buffer for core in ("core", "_core")},
-    ("numpy", "ndarray"): _ArrayClass,
+    ("numpy", "ndarray"): _NdarrayClass,
     ("numpy", "dtype"): _dtype,
     ("_codecs", "encode"): lambda text, kind="latin1": str(text).encode("latin1"),
     ("collections", "OrderedDict"): dict,
@@ -220,7 +220,7 @@ def _flatten(data: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, f
     if isinstance(data, bool | int | float | np.number):
         yield name, float(data)
     elif isinstance(data, np.ndarray) and data.dtype.kind in "biuf" and data.size <= MAX_COLUMNS:
-        yield from ((_place_name(name, place), float(data[place])) for place in np.ndindex(data.shape))
+        yield from ((_element_name(name, place), float(data[place])) for place in np.ndindex(data.shape))
     elif isinstance(data, list | tuple) and len(data) <= MAX_COLUMNS:
         for k, value in enumerate(data):
             yield from _flatten(value, f"{name}[{k}]", depth + 1)

@@ -9,12 +9,12 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit, forward_jacobian
-from surefoot.identify.motion.priors import default_names, without_known
+from surefoot.identify.motion.priors import default_names, drop_known
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_estimates import robot_estimates
 from surefoot.identify.motion.robot_model import robot_model
 from surefoot.identify.motion.robot_unknowns import considered_unknowns, robot_unknowns
-from surefoot.identify.motion.words import describe_unknown
+from surefoot.identify.motion.words import describe_ambiguities
 from surefoot.identify.plan import Plan
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import ParameterEstimate
@@ -28,7 +28,7 @@ PERIOD = 0.005
 
 
 @dataclass(frozen=True)
-class Foresight:
+class ExpectedAccuracy:
     """What a fit to logs would know."""
 
     estimates: tuple[ParameterEstimate, ...]
@@ -37,9 +37,9 @@ class Foresight:
     """What would stay unknown, in words."""
 
 
-def foresee(
+def predict_accuracy(
     robot: RobotDescription, motions: Sequence[RecordedMotion], prior: PhysicalParams, known: Sequence[str] = ()
-) -> Foresight:
+) -> ExpectedAccuracy:
     """Return what logs of a hanging robot would tell, if it were as before (one row).
 
     Args:
@@ -48,7 +48,7 @@ def foresee(
         prior: parameters before.
         known: parameters that are known exactly, such as gains that are stated.
     """
-    names = without_known(default_names(robot, True), known)
+    names = drop_known(default_names(robot, True), known)
     unknowns = robot_unknowns(robot, prior, names, True)
     logs = [_simulated(robot, motion, prior) for motion in motions]
     considered = considered_unknowns(robot, prior, logs)
@@ -64,7 +64,7 @@ def foresee(
     fit = Fit(everything, values, covariance, residuals, jacobian, held, True)
     held[: len(unknowns)] = ~fit.identifiable[: len(unknowns)]
     fit = replace(fit, held=held)
-    return Foresight(tuple(robot_estimates(robot, prior, prior, fit)), describe_unknown(robot, fit, prior))
+    return ExpectedAccuracy(tuple(robot_estimates(robot, prior, prior, fit)), describe_ambiguities(robot, fit, prior))
 
 
 def planned_motion(plan: Plan) -> RecordedMotion:

@@ -29,7 +29,7 @@ from surefoot.deploy.dds.low_level import (
     BadMessageError,
     decode,
 )
-from surefoot.deploy.dds.state_monitor import MOTORS, QUATERNION_ERROR, RESTART
+from surefoot.deploy.dds.state_monitor import MOTORS, MAX_QUATERNION_ERROR, TICK_RESTART
 from surefoot.errors import SurefootError, choices, describe_os_errors, prefix_errors
 from surefoot.files import check_readable
 from surefoot.identify.motion.column_table import FILE_BYTES, ColumnTable, is_bag, open_bag, read_csv
@@ -51,7 +51,7 @@ _ROW = np.dtype(
 )
 """A state with the newest command before it; NaN where there is no number."""
 _TICKS = 2**32
-_NO_WORD = re.compile(r"[^a-z0-9]+")
+_NON_WORD = re.compile(r"[^a-z0-9]+")
 _FIELD = re.compile(r"(?:^|_)((?:motor_state|motor_cmd|imu_state)_.*|tick)$")
 """A field at the end of a column's name, whatever topic and punctuation the recorder wrote."""
 _SHOWN = 30
@@ -159,25 +159,25 @@ def _from_table(table: ColumnTable) -> NDArray[Any]:
     """Return the rows (N,) of a table's states; a row of the table may have a state, a command, or both."""
     columns: dict[str, list[str]] = {}
     for name in table.columns:
-        if match := _FIELD.search(_NO_WORD.sub("_", name.lower()).strip("_")):
+        if match := _FIELD.search(_NON_WORD.sub("_", name.lower()).strip("_")):
             columns.setdefault(match[1], []).append(name)
 
     def column(field: str, needed: bool = False) -> Array:
-        names = columns.get(_NO_WORD.sub("_", field).strip("_"), [])
+        names = columns.get(_NON_WORD.sub("_", field).strip("_"), [])
         if len(names) > 1:
             raise SurefootError(f"has {len(names)} columns of {field}: {choices(names)}; keep those of one topic")
         if needed and not names:
             raise SurefootError(f"has no column of {field}; columns: {choices(list(table.columns)[:_SHOWN])}")
         return table.columns[names[0]] if names else np.full(table.rows, np.nan)
 
-    def of_motors(part: str, name: str, needed: bool = False) -> Array:
+    def motor_columns(part: str, name: str, needed: bool = False) -> Array:
         return np.stack([column(f"{part}[{motor}].{name}", needed) for motor in range(MOTORS)], axis=1)
 
     tick = column("tick", needed=True)
     states = np.flatnonzero(np.isfinite(tick))
     if not len(states):
         raise SurefootError("has no row with a tick, which is the robot's time [ms]")
-    commands = {name: of_motors("motor_cmd", name) for name in _COMMAND}
+    commands = {name: motor_columns("motor_cmd", name) for name in _COMMAND}
     sent = np.isfinite(commands["q"])
     for name, usual in (("mode", SERVO), ("dq", 0.0), ("tau", 0.0)):
         if not np.isfinite(commands[name]).any():
@@ -188,7 +188,7 @@ def _from_table(table: ColumnTable) -> NDArray[Any]:
     for name, width in (("quaternion", 4), ("gyroscope", 3)):
         rows[name] = np.stack([column(f"imu_state.{name}[{k}]") for k in range(width)], axis=1)[states]
     for name in _STATE:
-        rows["state"][name] = of_motors("motor_state", name, name == "q")[states]
+        rows["state"][name] = motor_columns("motor_state", name, name == "q")[states]
     for name, values in commands.items():
         rows["command"][name] = np.where(newest[:, None] >= 0, values[newest], np.nan)
     return rows
@@ -207,7 +207,7 @@ def _motion(rows: NDArray[Any], damaged: int, name: str) -> RecordedMotion:
         notes.append("no row has a target: a log to replay has /lowcmd too")
     quaternion = rows["quaternion"].copy()
     with np.errstate(invalid="ignore", over="ignore"):
-        wrong = ~(np.abs(np.linalg.norm(quaternion, axis=1) - 1) <= QUATERNION_ERROR)
+        wrong = ~(np.abs(np.linalg.norm(quaternion, axis=1) - 1) <= MAX_QUATERNION_ERROR)
     quaternion[wrong] = np.nan
     return RecordedMotion(
         name,
@@ -238,7 +238,7 @@ def _times(tick: Array) -> tuple[NDArray[np.int64], Array, list[str]]:
         rise = (value - now + _TICKS // 2) % _TICKS - _TICKS // 2
         if not parts[-1] or rise > 0:
             pass
-        elif rise > -RESTART:
+        elif rise > -TICK_RESTART:
             continue  # a repeated state, or one that comes late
         else:
             parts.append([])

@@ -148,14 +148,14 @@ def _motion(
             raise SurefootError(f"has no column '{key}'; columns: {choices(list(table.columns)[:_SHOWN])}")
         return table.columns[key]
 
-    def of_motors(key: str, unit: float = 1.0, offset: bool = False) -> Array:
+    def motor_columns(key: str, unit: float = 1.0, offset: bool = False) -> Array:
         optional = default and key != "command"
         return np.stack(
             [column(getattr(m, key), optional) * (m.sign * unit) + (m.offset if offset else 0.0) for m in motors],
             axis=1,
         )
 
-    def of_imu(*keys: str) -> Array:
+    def imu_columns(*keys: str) -> Array:
         factor = columns.imu.sign * ANGLE_UNITS[columns.imu.unit]
         return np.stack([column(getattr(columns.imu, key), default) * factor for key in keys], axis=1)
 
@@ -166,7 +166,7 @@ def _motion(
         raise SurefootError(f"time is not finite in row {int(np.argmin(np.isfinite(time)))}")
     check_rising(time)
     angle = ANGLE_UNITS[columns.unit]
-    command = of_motors("command", angle, True)
+    command = motor_columns("command", angle, True)
     if motors[0].command is not None and not np.isfinite(command).all():
         row, motor = (int(k) for k in np.argwhere(~np.isfinite(command))[0])
         raise SurefootError(f"row {row} has no command of {robot.motor_names[motor]}; every row needs its command")
@@ -174,9 +174,9 @@ def _motion(
         name,
         time,
         command,
-        motor_angle=of_motors("angle", angle, True),
-        motor_velocity=of_motors("velocity", angle),
-        motor_torque=of_motors("torque"),
-        roll_pitch_yaw=of_imu("roll", "pitch", "yaw"),
-        angular_velocity_base=of_imu("roll_rate", "pitch_rate", "yaw_rate"),
+        motor_angle=motor_columns("angle", angle, True),
+        motor_velocity=motor_columns("velocity", angle),
+        motor_torque=motor_columns("torque"),
+        roll_pitch_yaw=imu_columns("roll", "pitch", "yaw"),
+        angular_velocity_base=imu_columns("roll_rate", "pitch_rate", "yaw_rate"),
     )

@@ -9,13 +9,13 @@ from surefoot.robot import RobotDescription
 
 OUTSIDE = 0.5
 """Share of a motor's readings outside of its joint's limits from which the unit is doubted."""
-LIMIT_ROOM = 0.1
+LIMIT_MARGIN = 0.1
 """Distance beyond a joint's limits [rad] that calibrations explain."""
-FASTEST = 2e-4
+MIN_ROW_PERIOD = 2e-4
 """Median time between rows [s] that no logger of a legged robot has: 5 kHz."""
-SLOWEST = 1.0
+MAX_ROW_PERIOD = 1.0
 """The same of slow rows."""
-REPEATED = 0.2
+MAX_REPEATED_FRACTION = 0.2
 """Share of repeated commands from which it is said."""
 
 
@@ -28,7 +28,7 @@ def check_log(motion: RecordedMotion, robot: RobotDescription) -> list[str]:
     moving = np.flatnonzero(changed)
     if len(moving):
         repeated = float(np.mean(~changed[moving[0] : moving[-1] + 1]))
-        if repeated > REPEATED:
+        if repeated > MAX_REPEATED_FRACTION:
             notes.append(f"{100 * repeated:.0f} % of the commands repeat the row before")
     return notes
 
@@ -47,7 +47,7 @@ def _angle_notes(motion: RecordedMotion, robot: RobotDescription) -> list[str]:
         if not len(angle) or limits is None:
             continue
         low, high = sorted(robot.motor_sign[motor] * np.asarray(limits, float))
-        outside = (angle < low - LIMIT_ROOM) | (angle > high + LIMIT_ROOM)
+        outside = (angle < low - LIMIT_MARGIN) | (angle > high + LIMIT_MARGIN)
         if np.mean(outside) > OUTSIDE:
             return [
                 f"{name} goes from {angle.min():.2f} to {angle.max():.2f} rad, outside of its limits {low:.2f} to "
@@ -61,6 +61,6 @@ def _time_notes(motion: RecordedMotion) -> list[str]:
     if not len(steps):
         return []
     rows, whole, step = len(motion.time), float(np.ptp(motion.time)), float(np.median(steps))
-    if FASTEST <= step <= SLOWEST or (step == 0 and whole > FASTEST * rows):
+    if MIN_ROW_PERIOD <= step <= MAX_ROW_PERIOD or (step == 0 and whole > MIN_ROW_PERIOD * rows):
         return []
     return [f"{rows} rows in {whole:.3g} s: is the unit of time right?"]

@@ -87,17 +87,17 @@ PRIORS = {
 }
 """Numbers that logs can identify, with priors as wide as drives differ. Published masses of a Go2's legs differ by more
 than 10 %. Legs bend sideways: feet start softer along the ground."""
-_SCALES = {
+_DEFAULT_SCALES = {
     "motor_friction": 0.01,
     "motor_viscous_friction": 0.003,
     "rotor_inertia": 0.003,
 }
 """Scale of motors' parameters that a sheet has as 0, relative to m g l, m g l s, or m l^2."""
-_ABSOLUTE = {"load_friction": 0.1, "speed_filter": 0.005, "torque_lag": 0.005, "presliding": 0.01}
+_ABSOLUTE_SCALES = {"load_friction": 0.1, "speed_filter": 0.005, "torque_lag": 0.005, "presliding": 0.01}
 """The same of others, in their units."""
 
 
-def priors_of(robot: RobotDescription) -> dict[str, Prior]:
+def robot_priors(robot: RobotDescription) -> dict[str, Prior]:
     """Return the priors of a robot: `PRIORS`, with the deviations of its sheet.
 
     Raises:
@@ -119,10 +119,10 @@ def gains_are_commanded(robot: RobotDescription) -> bool:
 
 def default_names(robot: RobotDescription, rack: bool) -> tuple[str, ...]:
     """Return what logs of a robot identify by default; `rack`: none of them is of a robot on the ground."""
-    return tuple(name for name, prior in priors_of(robot).items() if prior.usual and not (rack and prior.contact))
+    return tuple(name for name, prior in robot_priors(robot).items() if prior.usual and not (rack and prior.contact))
 
 
-def without_known(names: Sequence[str], known: Sequence[str]) -> list[str]:
+def drop_known(names: Sequence[str], known: Sequence[str]) -> list[str]:
     """Return the names that known parameters do not fix."""
     fixed = {*known, DAMPING_RATIO} if "servo_kd" in known else set(known)
     return [name for name in names if RATIOS.get(name, name) not in fixed]
@@ -133,6 +133,6 @@ def prior_scale(robot: RobotDescription, name: str, value: float) -> float:
     if value > 0:
         return value
     mass, length = robot.urdf.total_mass, robot.leg_geometry.length
-    if name in _SCALES:
-        return _SCALES[name] * mass * length * (length if name == "rotor_inertia" else GRAVITY)
-    return _ABSOLUTE.get(name, 1e-6)
+    if name in _DEFAULT_SCALES:
+        return _DEFAULT_SCALES[name] * mass * length * (length if name == "rotor_inertia" else GRAVITY)
+    return _ABSOLUTE_SCALES.get(name, 1e-6)

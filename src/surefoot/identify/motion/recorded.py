@@ -24,7 +24,7 @@ from surefoot.robot.params_file import ParamValue
 
 MIN_MOTION = 0.02
 """Range of its commands [rad] from which a joint counts as moving."""
-SKIPPED = 0.3
+SKIPPED_TIME = 0.3
 """Time [s] at the start in which errors do not count: the robot's motion before the log is unknown."""
 IMU = ("roll", "pitch", "roll_rate", "pitch_rate")
 """Channels of `RecordedMotion.imu`: angles [rad] of the base, yaw about z, then pitch, then roll, and rates [rad/s] in
@@ -100,7 +100,7 @@ class RecordedMotion:
     @property
     def counted(self) -> NDArray[np.bool_]:
         """Rows (T,) whose errors count."""
-        return self.time >= self.time[0] + SKIPPED
+        return self.time >= self.time[0] + SKIPPED_TIME
 
     @property
     def fresh(self) -> NDArray[np.bool_]:

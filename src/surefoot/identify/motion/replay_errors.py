@@ -8,7 +8,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.identify.motion.recorded import IMU, SKIPPED, RecordedMotion
+from surefoot.identify.motion.recorded import IMU, SKIPPED_TIME, RecordedMotion
 from surefoot.identify.recording import read_at
 from surefoot.identify.replay import ReplayedReadings, Replayer, segment_from_motion
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -59,7 +59,7 @@ def replay_motion(
         SurefootError: a log that ends before errors count, or a robot that diverges.
     """
     if not motion.counted.any():
-        raise SurefootError(f"log {motion.name} is {np.ptp(motion.time):.2f} s long; errors count after {SKIPPED:g} s")
+        raise SurefootError(f"log {motion.name} is {np.ptp(motion.time):.2f} s long; errors count after {SKIPPED_TIME:g} s")
     readings = replayer.run(segment_from_motion(motion, robot), params)
     if not np.isfinite(readings.motor_angle).all():
         raise SurefootError(f"the simulated robot breaks down in the replay of {motion.name}; check its parameters")

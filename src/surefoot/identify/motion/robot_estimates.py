@@ -26,7 +26,7 @@ MODEL_ACCURACY = {
 friction, which fade at another speed, give other shares of Coulomb and viscous friction; MuJoCo's own has up to half
 less Coulomb friction in calves. Set on made-up logs 1 to 5 of `benchmarks/identification_logs.py`."""
 
-SHARED_FRICTION = 0.5
+FRICTION_EXCHANGE = 0.5
 """The same of Coulomb friction [N m], over viscous friction [N m s/rad]: where friction builds up over a speed like a
 joint's own, as MuJoCo's does in calves, a fit takes Coulomb friction for viscous one."""
 LATENCY_ACCURACY = 0.75
@@ -46,7 +46,7 @@ def robot_estimates(
     """
     commanded = gains_are_commanded(robot)
     estimates = []
-    for name in _changed(fit):
+    for name in _affected_parameters(fit):
         value = getattr(params, name)[0]
         slopes = parameter_slopes(prior, fit, name)
         determined = np.any(np.abs(slopes[fit.free]) > 0, axis=0)
@@ -64,7 +64,7 @@ def robot_estimates(
                     floor = LATENCY_ACCURACY * robot.timing.servo_step
                 if name == "motor_friction":
                     viscous = float(params.motor_viscous_friction[0, index or 0])
-                    floor = float(np.hypot(floor, SHARED_FRICTION * viscous))
+                    floor = float(np.hypot(floor, FRICTION_EXCHANGE * viscous))
                 deviation = float(np.hypot(deviation, floor))
             item = ParameterEstimate.within_bounds(robot, name, number, deviation, index, bool(determined[index or 0]))
             estimates.append(replace(item, of_robot=not (commanded and name in GAINS)))
@@ -75,7 +75,7 @@ def _count(name: str, values: Array) -> int:
     return 2 if name == "base_offset" else len(values)
 
 
-def _changed(fit: Fit) -> list[str]:
+def _affected_parameters(fit: Fit) -> list[str]:
     """Return the names of the physical parameters that the fitted unknowns change, as `PhysicalParams` orders them."""
     names = {RATIOS.get(unknown.name, unknown.name) for unknown in fit.unknowns} - set(CONSIDERED)
     if DAMPING_RATIO in names:

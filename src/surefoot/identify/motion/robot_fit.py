@@ -18,26 +18,26 @@ from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Fit, fit_least_squares, hold_unidentifiable
 from surefoot.identify.model import ReplayModel
 from surefoot.identify.motion.motion_digest import all_digest, motion_digest
-from surefoot.identify.motion.priors import GAINS, default_names, gains_are_commanded, without_known
+from surefoot.identify.motion.priors import GAINS, default_names, gains_are_commanded, drop_known
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import imu_channels, replay_motion
 from surefoot.identify.motion.robot_estimates import robot_estimates
 from surefoot.identify.motion.robot_model import SECONDS, correlated_noise, fitted_part, robot_model
 from surefoot.identify.motion.robot_unknowns import considered_unknowns, robot_params, robot_unknowns
 from surefoot.identify.motion.start_search import find_gains, search_start
-from surefoot.identify.motion.verdict import judge_fit
-from surefoot.identify.motion.words import describe_unknown
+from surefoot.identify.motion.verdict import diagnose_fit
+from surefoot.identify.motion.words import describe_ambiguities
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, ignore_progress
 from surefoot.robot import PhysicalParams, RobotDescription
 
-MOUNTS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
+IMU_YAW_CANDIDATES = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 """Yaw of an IMU in the base [rad] that is tried."""
 FIRST_NOISE = 0.005
 """Standard deviation of angles in the first round of a fit to logs on a rack [rad]; later that of the residuals. It is
 small: a fit that its priors hold would leave residuals that confirm a large one."""
 MAX_ROUNDS = 3
-SAME_NOISE = 1.25
+NOISE_TOLERANCE = 1.25
 """Factor within which the residuals' noise agrees with the assumed one, so that no further round is needed."""
 _MOUNT_DEVIATION = 0.05
 _SHOWN = 3.0
@@ -82,7 +82,7 @@ def fit_robot(
     yaw = find_imu_yaw(robot, motions, prior)
     if yaw is not None:
         prior.imu_mount[0, 2] = yaw
-    wanted = without_known(default_names(robot, rack) if names is None else names, known)
+    wanted = drop_known(default_names(robot, rack) if names is None else names, known)
     fit = _fit(robot, motions, wanted, prior, rack, seconds, (search, seed), report)
     params = robot_params(prior, fit.unknowns, fit.values[None])
     estimates = robot_estimates(robot, prior, params, fit)
@@ -96,13 +96,13 @@ def fit_robot(
         robot.name,
         tuple(estimates),
         checks,
-        notes=(*describe_unknown(robot, fit, params), *_notes(fit)),
+        notes=(*describe_ambiguities(robot, fit, params), *_notes(fit)),
         series=series,
         digest=all_digest([*motions, *held_out]),
         parts=parts,
         gains=_gains(params, [*wanted, *known]) if gains_are_commanded(robot) else {},
         stated_gains=tuple(stated),
-        failure=judge_fit(robot, [fitted_part(one, seconds) for one in motions], params),
+        failure=diagnose_fit(robot, [fitted_part(one, seconds) for one in motions], params),
     )
 
 
@@ -134,19 +134,19 @@ def _fit(
     start = find_gains(robot, motions, unknowns, prior, report)
     for number in range(MAX_ROUNDS):
         model = robot_model(robot, motions, [*unknowns, *considered], prior, seconds, noise)
-        some = _without(model, len(considered))
+        some = _hold_last(model, len(considered))
         if search[0] and number == 0:
             start = search_start(some, *search, report)
         fit = fit_least_squares(some, start, lambda step, cost: report(f"step {step}", cost))
         start, found = fit.values, correlated_noise(model, fit.residuals, noise)
         same = [max(one / two, two / one) for one, two in zip(found, noise, strict=True)]
-        if max(same) < SAME_NOISE:
+        if max(same) < NOISE_TOLERANCE:
             break
         noise = found
     return hold_unidentifiable(model, fit, considered, lambda step, cost: report(f"held, step {step}", cost))
 
 
-def _without(model: ReplayModel, last: int) -> ReplayModel:
+def _hold_last(model: ReplayModel, last: int) -> ReplayModel:
     """Return the model with its last unknowns held."""
     free = np.ones(len(model.unknowns), np.bool_)
     free[len(free) - last :] = False
@@ -154,9 +154,9 @@ def _without(model: ReplayModel, last: int) -> ReplayModel:
 
 
 def find_imu_yaw(robot: RobotDescription, motions: Sequence[RecordedMotion], prior: PhysicalParams) -> float | None:
-    """Return the yaw of `MOUNTS` that fits the IMU's roll and pitch best; None if no log on the ground has them."""
+    """Return the yaw of `IMU_YAW_CANDIDATES` that fits the IMU's roll and pitch best; None if no log on the ground has them."""
     low, high = robot.allowed["imu_mount"]
-    yaws = [yaw for yaw in MOUNTS if low <= yaw <= high]
+    yaws = [yaw for yaw in IMU_YAW_CANDIDATES if low <= yaw <= high]
     standing = [one.until(SECONDS) for one in motions if not one.rack and np.isfinite(one.imu[:, :2]).all()]
     if not standing or len(yaws) < 2:
         return None

@@ -28,7 +28,7 @@ STILL_NOISE = 0.04
 TILT_NOISE = 0.03
 """The same for roll and pitch [rad]."""
 START_NOISE = 2.0
-"""Factor of all noise in the first `SKIPPED` seconds."""
+"""Factor of all noise in the first `SKIPPED_TIME` seconds."""
 SPACING = 0.011
 """Least time between rows that are compared [s]."""
 SECONDS = 2.3
@@ -104,7 +104,7 @@ def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Rep
         predicted = np.empty((params.num_envs, *recorded.shape))
         for scale, late in sorted(set(zip(clock.tolist(), shift.tolist(), strict=True))):
             these = np.flatnonzero((clock == scale) & (shift == late))
-            readings = replayer.run(_retimed(segment, scale, late, robot.timing.servo_step), params.rows(these))
+            readings = replayer.run(_correct_times(segment, scale, late, robot.timing.servo_step), params.rows(these))
             predicted[these] = np.concatenate([readings.motor_angle, imu_channels(readings)[:, :, :2]], axis=2)[:, rows]
         errors = predicted - recorded
         # Attitudes of such IMUs drift from log to log: only their change is compared.
@@ -123,13 +123,13 @@ def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Rep
     return Observations(errors, noises, motion.time[rows][:, None], {"leg": leg})
 
 
-def _retimed(segment: Segment, scale: float, late: float, dt: float) -> Segment:
+def _correct_times(segment: Segment, scale: float, late: float, dt: float) -> Segment:
     """Return a segment with another clock: a second takes `scale` seconds, commands are sent `late` [s] later."""
-    segment = segment if scale == 1.0 else segment.stretched(scale, dt)
+    segment = segment if scale == 1.0 else segment.with_clock_scale(scale, dt)
     if late == 0.0:
         return segment
-    ticks = np.maximum(segment.order_tick + round(late / dt), 0)
-    return replace(segment, order_tick=np.concatenate([[0], ticks[1:]]))
+    ticks = np.maximum(segment.command_tick + round(late / dt), 0)
+    return replace(segment, command_tick=np.concatenate([[0], ticks[1:]]))
 
 
 def _spaced_rows(motion: RecordedMotion) -> NDArray[np.int64]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, suggest
-from surefoot.identify.joint_kinds import kinds_of_joints
+from surefoot.identify.joint_kinds import motors_by_joint_kind
 from surefoot.identify.model import Unknown, candidate_params
 from surefoot.identify.motion.priors import (
     CLOCK,
@@ -25,7 +25,7 @@ from surefoot.identify.motion.priors import (
     STRICTLY_POSITIVE,
     Prior,
     prior_scale,
-    priors_of,
+    robot_priors,
 )
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -44,7 +44,7 @@ CLOCK_DEVIATION = 0.02
 def robot_unknowns(
     robot: RobotDescription, prior: PhysicalParams, names: Sequence[str], rack: bool = False
 ) -> list[Unknown]:
-    """Return the unknowns of `names` of `priors_of`, around the parameters before (one row).
+    """Return the unknowns of `names` of `robot_priors`, around the parameters before (one row).
 
     Args:
         robot: its description.
@@ -55,16 +55,16 @@ def robot_unknowns(
     Raises:
         SurefootError: another name.
     """
-    priors = priors_of(robot)
+    priors = robot_priors(robot)
     if bad := [name for name in names if name not in priors]:
         raise SurefootError(f"logs can't identify '{bad[0]}'; {suggest(bad[0], priors)}")
     unknowns = []
     for number, name in enumerate(dict.fromkeys(names)):
         rule = priors[name]
         if rule.each:
-            unknowns += _own_unknowns(robot, prior, name, rule, number if rack else None)
+            unknowns += _individual_unknowns(robot, prior, name, rule, number if rack else None)
         else:
-            groups = kinds_of_joints(robot, prior, name) or {"": ()}
+            groups = motors_by_joint_kind(robot, prior, name) or {"": ()}
             unknowns += [_unknown(robot, prior, name, rule, motors=m, whose=kind) for kind, m in groups.items()]
     if rack:
         return [replace(unknown, step=RACK_STEP * unknown.step) for unknown in unknowns]
@@ -77,7 +77,7 @@ def robot_unknowns(
     ]
 
 
-def _own_unknowns(
+def _individual_unknowns(
     robot: RobotDescription, prior: PhysicalParams, name: str, rule: Prior, colour: int | None
 ) -> list[Unknown]:
     """Return an unknown for each motor or axis; on a rack, with a colour, those of different legs vary at once."""

@@ -43,7 +43,7 @@ from surefoot.identify.motion.torque_rows import (
     torque_timings,
 )
 from surefoot.identify.motion.walking_mass import walking_mass
-from surefoot.identify.recording import digest_of
+from surefoot.identify.recording import digest_arrays
 from surefoot.identify.result import (
     Check,
     FitProgress,
@@ -52,7 +52,7 @@ from surefoot.identify.result import (
     Series,
     ignore_progress,
     indexed_name,
-    with_floor,
+    add_model_error,
 )
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -107,7 +107,7 @@ def fit_torques(
     check, series = trial.check(params, final)
     if MASS in names:
         total, ratio, deviation = walking_mass(robot, segments, params)
-        estimates.append(ParameterEstimate(MASS, ratio, with_floor(MASS, ratio, deviation), "1", low=0.0))
+        estimates.append(ParameterEstimate(MASS, ratio, add_model_error(MASS, ratio, deviation), "1", low=0.0))
         notes.append(
             f"the robot weighs {total:.2f} kg in all; {MASS} is the base's part of it if leg_mass_ratio is "
             f"{float(prior.leg_mass_ratio[0]):g}, its prior value"
@@ -122,7 +122,7 @@ def fit_torques(
         _correlations(fit, estimates),
         (*notes, *trial.describe_estimates(estimates)),
         (series,),
-        digest=digest_of(
+        digest=digest_arrays(
             {f"{k:06d} {key}": getattr(one, name) for k, one in enumerate(motions) for key, name in columns.items()}
         ),
         date=str(next((one.meta["date"] for one in reversed(motions) if one.meta.get("date")), "")),
@@ -207,7 +207,7 @@ class _TorqueFit:
                     extra = float(np.hypot(self.fitted[0].timing.spread, INTERPOLATION_DEVIATION))
                 # A motor at rest keeps the prior's interval.
                 own, identifiable = spread.get(label, (RELATIVE_DEVIATION * value, False))
-                deviation = with_floor(name, value, float(np.hypot(own, extra)))
+                deviation = add_model_error(name, value, float(np.hypot(own, extra)))
                 estimates.append(
                     ParameterEstimate.within_bounds(self.robot, name, value, deviation, index, identifiable)
                 )

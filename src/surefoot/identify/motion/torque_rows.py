@@ -28,7 +28,7 @@ MIN_LENGTH = 2.0
 """Least length of all traces together [s]."""
 MAX_LENGTH = 40.0
 """Length [s] beyond which rows are subsampled."""
-HELD_OUT = 0.25
+HELD_OUT_FRACTION = 0.25
 """Share of the traces, or of the one trace's time, that is held out."""
 REAL_TIME_SPREAD = 5e-4
 """Standard deviation of times in real time [s]: half a servo step either way, and jitter of commands. In runs of an
@@ -201,10 +201,10 @@ def split_segments(segments: Sequence[TorqueRows]) -> tuple[list[TorqueRows], li
     segments = [segment for segment in segments if len(segment.rows)]
     if len(segments) == 1:
         (whole,) = segments
-        cut = round((1 - HELD_OUT) * len(whole.rows))
+        cut = round((1 - HELD_OUT_FRACTION) * len(whole.rows))
         fitted, held = [replace(whole, rows=whole.rows[:cut])], [replace(whole, rows=whole.rows[cut:])]
     else:
-        last = max(round(HELD_OUT * len(segments)), 1)
+        last = max(round(HELD_OUT_FRACTION * len(segments)), 1)
         fitted, held = segments[:-last], segments[-last:]
     return subsample(fitted, max(int(np.ceil(_length(fitted) / MAX_LENGTH)), 1)), held
 

@@ -15,7 +15,7 @@ from surefoot.identify.motion.recorded import IMU, RecordedMotion
 from surefoot.npz import read_npz
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import param_table
-from surefoot.task.trace import LOG, EpisodeTrace, robot_meta
+from surefoot.task.trace import IMPORTED_LOG, EpisodeTrace, robot_meta
 
 
 def deployed_motion(name: str, trace: EpisodeTrace) -> RecordedMotion:
@@ -32,7 +32,7 @@ def motion_from_trace(name: str, trace: EpisodeTrace) -> RecordedMotion:
     """
     if not trace.imported:
         return deployed_motion(name, trace).checked()
-    rows = _longest(np.asarray(np.isfinite(trace.target).all(axis=1)))
+    rows = _longest_run(np.asarray(np.isfinite(trace.target).all(axis=1)))
     if rows.stop - rows.start < 2:
         raise SurefootError("has no two rows in a row with commands; a log to replay or to identify from has commands")
     motion = _motion(name, trace, trace.time, trace.time if trace.meta.get("read_at_row") else np.empty(0))
@@ -45,7 +45,7 @@ def _motion(name: str, trace: EpisodeTrace, sent: Array, read: Array) -> Recorde
     return RecordedMotion(name, sent, trace.target, read, *readings, *attitude, meta=trace.meta)
 
 
-def _longest(rows: NDArray[np.bool_]) -> slice:
+def _longest_run(rows: NDArray[np.bool_]) -> slice:
     """Return the longest run of rows (T,) that are true."""
     ends = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]]))).reshape(-1, 2)
     first, last = max(ends.tolist(), key=lambda part: part[1] - part[0], default=(0, 0))
@@ -53,7 +53,7 @@ def _longest(rows: NDArray[np.bool_]) -> slice:
 
 
 def trace_from_motion(motion: RecordedMotion, robot: RobotDescription) -> EpisodeTrace:
-    """Return the rows of a log as a trace of the world `LOG`; what nobody recorded is NaN.
+    """Return the rows of a log as a trace of the world `IMPORTED_LOG`; what nobody recorded is NaN.
 
     Raises:
         SurefootError: numbers that a trace does not take, such as infinite ones.
@@ -72,7 +72,7 @@ def trace_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Episod
             energy=power * np.diff(motion.time, prepend=motion.time[:1] - step),
             meta={
                 **robot_meta(robot),
-                "world": LOG,
+                "world": IMPORTED_LOG,
                 "observation_names": [],
                 "ended": "time",
                 "max_steps": round(float(np.ptp(motion.time)) / step) + 1,

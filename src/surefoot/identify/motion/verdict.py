@@ -29,7 +29,7 @@ CLEAR = 0.5
 """Correlation of an angle with a command from which they belong together."""
 
 
-def judge_fit(robot: RobotDescription, motions: Sequence[RecordedMotion], params: PhysicalParams) -> tuple[str, ...]:
+def diagnose_fit(robot: RobotDescription, motions: Sequence[RecordedMotion], params: PhysicalParams) -> tuple[str, ...]:
     """Return why a fit does not explain its logs, then what to try; nothing, if it explains them.
 
     Args:
@@ -73,7 +73,7 @@ def _suggestions(
     robot: RobotDescription, motion: RecordedMotion, error: float, params: PhysicalParams
 ) -> tuple[str, ...]:
     """Return what may be wrong with a log: its base, signs, order of joints, units."""
-    return (*_other_place(robot, motion, error, params), *_wrong_columns(robot, motion), *unit_notes(motion, robot))
+    return (*_other_place(robot, motion, error, params), *_column_hints(robot, motion), *unit_notes(motion, robot))
 
 
 def _other_place(robot: RobotDescription, motion: RecordedMotion, error: float, params: PhysicalParams) -> list[str]:
@@ -91,7 +91,7 @@ def _other_place(robot: RobotDescription, motion: RecordedMotion, error: float, 
     return []
 
 
-def _wrong_columns(robot: RobotDescription, motion: RecordedMotion) -> list[str]:
+def _column_hints(robot: RobotDescription, motion: RecordedMotion) -> list[str]:
     """Return doubts about signs and order of motors: angles that follow another command, or the negative of theirs."""
     hints = []
     similar = command_correlation(motion)

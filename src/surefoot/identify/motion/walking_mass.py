@@ -43,7 +43,7 @@ def walking_mass(
     robot: RobotDescription, segments: Sequence[TorqueRows], params: PhysicalParams
 ) -> tuple[float, float, float]:
     """Return the mass [kg] of a robot that walks, and the base's ratio to the description's with its deviation."""
-    walks = [walk for walk in map(_upright_part, segments) if walk is not None]
+    walks = [walk for walk in map(_steady_part, segments) if walk is not None]
     if not walks:
         raise SurefootError(
             f"{MASS}: no trace has {MIN_WALK:g} s upright after its first {WALK_START:g} s; give longer walks, or "
@@ -74,7 +74,7 @@ def walking_mass(
     return total, (total - legs) / light.base_mass, float(np.hypot(random, systematic)) / light.base_mass
 
 
-def _upright_part(segment: TorqueRows) -> TorqueRows | None:
+def _steady_part(segment: TorqueRows) -> TorqueRows | None:
     """Return the part in which the robot is in its gait and upright, if it is long enough."""
     time = segment.motion.read_time
     fallen = np.flatnonzero(np.abs(segment.motion.roll_pitch_yaw[:, :2]).max(axis=1) > MAX_TILT)

@@ -59,7 +59,7 @@ EXCHANGES = (
 )
 
 
-def describe_unknown(robot: RobotDescription, fit: Fit, params: PhysicalParams) -> tuple[str, ...]:
+def describe_ambiguities(robot: RobotDescription, fit: Fit, params: PhysicalParams) -> tuple[str, ...]:
     """Return sentences on what the fitted logs can't tell.
 
     Args:

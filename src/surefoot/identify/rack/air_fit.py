@@ -21,7 +21,7 @@ def fit_air(
     """Return the result of the air experiment; see `Experiment.fit`. Gains that the robot states are kept."""
     gains = {name: np.asarray(values, float) for name, values in recording.meta.get("gains", {}).items()}
     prior = prior.with_values(robot, **{name: values[None] for name, values in gains.items()})
-    parts = {use: motion_of_phases(recording, use) for use in ("fit", "check")}
+    parts = {use: motion_from_phases(recording, use) for use in ("fit", "check")}
     result = fit_robot(
         robot, [parts["fit"]], [parts["check"]], None, prior, float(np.ptp(parts["fit"].time)), report=report,
         known=tuple(gains),
@@ -31,7 +31,7 @@ def fit_air(
     return replace(result, experiment="air")
 
 
-def motion_of_phases(recording: Recording, use: str) -> RecordedMotion:
+def motion_from_phases(recording: Recording, use: str) -> RecordedMotion:
     """Return a recording from its first phase of a use (fit or check) to the last one as a log of a hanging robot.
 
     A row is a state, at the time when the robot sent it, with the command that was in effect. Its readings are used a

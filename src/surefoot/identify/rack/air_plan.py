@@ -10,26 +10,26 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.identify.joint_kinds import kind_of_joint
+from surefoot.identify.joint_kinds import joint_kind_name
 from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, sweep, transition
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.actuator import JointActuatorData
 
 AMPLITUDE = 0.35
 """Greatest amplitude of a joint [rad]."""
-LIMIT_ROOM = 0.15
+LIMIT_MARGIN = 0.15
 """Distance that joints keep from their limits [rad]."""
-BAND = (0.2, 8.0)
+FREQUENCY_BAND = (0.2, 8.0)
 """Frequencies of a chirp, first and last [Hz]."""
-ALONE, TOGETHER, CHECK = 6.0, 10.0, 6.0
+SINGLE_TIME, TOGETHER, CHECK_TIME = 6.0, 10.0, 6.0
 """Length of a chirp of one kind of joint, of all together, and of the one that is not fitted [s]."""
-SPEED_SHARE = 0.3
+SPEED_FRACTION = 0.3
 """Greatest speed that a command asks for, over the speed limit of the motor."""
-TORQUE_SHARE = 0.5
+TORQUE_FRACTION = 0.5
 """Torque that the servo may ask for at the fastest part of a chirp, over the motor's limit."""
-TOGETHER_SHARE = 0.6
+COMBINED_FACTOR = 0.6
 """Amplitude of all joints together, over that of one kind: legs do not meet."""
-MAX_SPEED = 20.0
+DEFAULT_SPEED_LIMIT = 20.0
 """Speed limit [rad/s] of motors whose sheet has none."""
 
 
@@ -52,24 +52,24 @@ def air_plan(robot: RobotDescription) -> Plan:
     for place in range(places.shape[1]):
         own = np.zeros(robot.num_motors)
         own[places[:, place]] = amplitude[places[:, place]]
-        kind = kind_of_joint(robot, place)
-        what = f"{kind} {own.max():.2f} rad to both sides, from {BAND[0]:g} to {BAND[1]:g} Hz, less as they get faster"
-        phases.append(Phase(f"chirp of {kind}", what, ALONE, _chirp(middle, own, speed, BAND, ALONE, 0.0 * shift)))
+        kind = joint_kind_name(robot, place)
+        what = f"{kind} {own.max():.2f} rad to both sides, from {FREQUENCY_BAND[0]:g} to {FREQUENCY_BAND[1]:g} Hz, less as they get faster"
+        phases.append(Phase(f"chirp of {kind}", what, SINGLE_TIME, _chirp(middle, own, speed, FREQUENCY_BAND, SINGLE_TIME, 0.0 * shift)))
         phases.append(transition("centre", "all legs back to the middle", 0.5, middle, 0.3))
-    all_joints = TOGETHER_SHARE * amplitude
+    all_joints = COMBINED_FACTOR * amplitude
     what = f"all joints {all_joints.max():.2f} rad at most to both sides"
     phases += [
-        Phase("chirp of all", what, TOGETHER, _chirp(middle, all_joints, speed, BAND, TOGETHER, shift)),
+        Phase("chirp of all", what, TOGETHER, _chirp(middle, all_joints, speed, FREQUENCY_BAND, TOGETHER, shift)),
         transition("centre", "all legs back to the middle", 0.5, middle, 0.3),
         Phase(
             "chirp back",
             f"{what}, from fast to slow",
-            CHECK,
-            _chirp(middle, all_joints, speed, (BAND[1] / 2, BAND[0]), CHECK, shift[::-1]),
+            CHECK_TIME,
+            _chirp(middle, all_joints, speed, (FREQUENCY_BAND[1] / 2, FREQUENCY_BAND[0]), CHECK_TIME, shift[::-1]),
             use="check",
         ),
     ]
-    limits = ExperimentLimits(float(np.max(robot.actuator.torque_limit)), angle_room=0.5)
+    limits = ExperimentLimits(float(np.max(robot.actuator.torque_limit)), angle_margin=0.5)
     return Plan("air", True, tuple(phases), middle - amplitude, middle + amplitude, 0.0, limits)
 
 
@@ -84,11 +84,11 @@ def amplitudes(robot: RobotDescription, actuator: JointActuatorData, middle: Arr
         limits = robot.urdf.joints[name].limits
         if limits is not None:
             low, high = sorted(robot.motor_sign[motor] * np.asarray(limits, float))
-            amplitude[motor] = min(AMPLITUDE, middle[motor] - low - LIMIT_ROOM, high - LIMIT_ROOM - middle[motor])
+            amplitude[motor] = min(AMPLITUDE, middle[motor] - low - LIMIT_MARGIN, high - LIMIT_MARGIN - middle[motor])
     nominal = PhysicalParams.nominal(robot)
     speed = np.broadcast_to(np.asarray(actuator.speed_limit, float), robot.num_motors)
-    fastest = 2 * np.pi * BAND[1] * TORQUE_SHARE * nominal.torque_limit[0] / nominal.servo_kp[0]
-    return np.maximum(amplitude, 0.0), np.minimum(SPEED_SHARE * np.minimum(speed, MAX_SPEED), fastest)
+    fastest = 2 * np.pi * FREQUENCY_BAND[1] * TORQUE_FRACTION * nominal.torque_limit[0] / nominal.servo_kp[0]
+    return np.maximum(amplitude, 0.0), np.minimum(SPEED_FRACTION * np.minimum(speed, DEFAULT_SPEED_LIMIT), fastest)
 
 
 def _chirp(

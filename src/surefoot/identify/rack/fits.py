@@ -35,7 +35,7 @@ SPIKES = ("spikes", Mode.PWM)
 """Name and mode of the phases that have spikes."""
 WINDOW = 0.014
 """Time after the first motion [s] whose readings are fitted; later the spike's speed has faded."""
-BEFORE = 0.010
+PRE_WINDOW = 0.010
 """Time before a spike [s] whose readings are fitted."""
 MAX_AGE, AGE_STEP = 0.08, 0.0002
 """Greatest age, and step between ages that are tried [s]."""
@@ -127,7 +127,7 @@ def _torque_curve(
 ) -> Series:
     """Return torque over current: reports of motors under PWM, over their strength, beside the data sheet's curve."""
     motors = moving_legs(robot, recording)
-    order = np.searchsorted(segment.order_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
+    order = np.searchsorted(segment.command_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
     driven = segment.kind[order] == Mode.PWM
     kept = segment.states[driven]
     # A state's speeds are older than its torques by the control latency.
@@ -216,7 +216,7 @@ def measure_spikes(recording: Recording) -> SpikeResponses:
     groups = [k for k, phase in enumerate(recording.meta["phases"]) if (phase["name"], phase["mode"]) == SPIKES]
     for c in np.flatnonzero(driven[:-1] & np.isin(recording.sent_phase[:-1], groups)):
         begin, end = dt * recording.servo_step(recording.arrival[c : c + 2])
-        kept = (recording.time > begin - BEFORE) & (recording.time < begin + MAX_AGE + WINDOW)
+        kept = (recording.time > begin - PRE_WINDOW) & (recording.time < begin + MAX_AGE + WINDOW)
         since, angles, speeds = (values[kept] for values in (recording.time - begin, recording.motor_angle,
                                                              recording.motor_velocity))  # fmt: skip
         age, clear = _response_age(since, angles, speeds, float(end - begin))
@@ -240,7 +240,7 @@ def _response_age(since: Array, angles: Array, speeds: Array, length: float) -> 
         rough = float(since[int(np.argmax(gained > gained.max() / 2))])
         if gained.max() < MIN_SPEED_RATIO * noise or rough < 0:
             continue
-        used = (since > rough - BEFORE) & (since < rough + WINDOW)
+        used = (since > rough - PRE_WINDOW) & (since < rough + WINDOW)
         ages = rough + np.arange(-0.006, 0.003, AGE_STEP)
         costs = [_response_cost(since[used], angles[used, motor], one, length) for one in ages]
         best = int(np.argmin(costs))

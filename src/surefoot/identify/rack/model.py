@@ -14,7 +14,7 @@ from surefoot.identify.fitting import Fit, fit_least_squares
 from surefoot.identify.model import GAIN_DEVIATION, TORQUE_GAIN, Nuisance, Observations, ReplayModel, Unknown
 from surefoot.identify.recording import Recording
 from surefoot.identify.replay import ReplayedReadings, Replayer, Segment
-from surefoot.identify.result import FitProgress, ParameterEstimate, with_floor
+from surefoot.identify.result import FitProgress, ParameterEstimate, add_model_error
 from surefoot.robot import PhysicalParams, RobotDescription
 
 NOISE = np.array([2e-4, 0.05, 0.02])
@@ -179,7 +179,7 @@ def rack_estimates(robot: RobotDescription, fit: Fit, prior: PhysicalParams) -> 
         fit.unknowns, fit.values.tolist(), fit.deviation.tolist(), fit.identifiable.tolist(), strict=True
     ):
         if u.name != TORQUE_GAIN:
-            deviation = with_floor(u.name, value, deviation)
+            deviation = add_model_error(u.name, value, deviation)
             estimates.append(ParameterEstimate.within_bounds(robot, u.name, value, deviation, u.index, identifiable))
     fitted = {u.index for u in fit.unknowns}
     for motor in sorted(set(range(robot.num_motors)) - fitted):

@@ -10,11 +10,11 @@ from surefoot.identify.plan import ExperimentLimits, Phase, Plan, Signal, chirps
 from surefoot.robot import RobotDescription
 from surefoot.seeding import generator
 
-HEIGHTS = (8 / 45, 1 / 3, 5 / 9, 7 / 9, 1.0)
+PULSE_HEIGHTS = (8 / 45, 1 / 3, 5 / 9, 7 / 9, 1.0)
 """Heights of PWM pulses, in shares of the greatest."""
-PULSE = 0.014
+PULSE_TIME = 0.014
 """Length of a PWM pulse [s]."""
-BURST = 0.24
+BURST_TIME = 0.24
 """Length of a PWM phase [s]: pulses, then motors without duty."""
 SPIKE_PERIOD, SPIKES = 0.12, 2
 """Time between spikes [s], and their number in a phase."""
@@ -52,9 +52,9 @@ def motor_plan(robot: RobotDescription) -> Plan:
         Phase("steps", f"every motor jumps by up to {use.step:g} rad to both sides, 16 times", 4.0, steps(jumps, 0.25)),
     ]
     what = f"motors without servo: pulses of {1e3 * PULSE:g} ms and up to {use.duty:g} duty there and back"
-    for height in np.concatenate([draw.permutation([use.part("duty", share) for share in HEIGHTS]) for _ in range(2)]):
+    for height in np.concatenate([draw.permutation([use.part("duty", share) for share in PULSE_HEIGHTS]) for _ in range(2)]):
         pulses = _pulses(height * draw.choice([-1.0, 1.0], motors) * draw.uniform(0.7, 1.0, motors))
-        phases += [_to_middle(middle, 0.5), Phase("PWM pulses", what, BURST, pulses, Mode.PWM)]
+        phases += [_to_middle(middle, 0.5), Phase("PWM pulses", what, BURST_TIME, pulses, Mode.PWM)]
     phases += [
         _to_middle(middle, 0.7),
         Phase("chirp back", f"every motor {back:g} rad to both sides, from 7 to 1.5 Hz", 3.0, other, use="check"),
@@ -68,7 +68,7 @@ def _pulses(height: Array) -> Signal:
     """Return pulses there, back for twice as long, and there again: the motor ends near where it began."""
 
     def signal(t: float, start: Array) -> Array:
-        return {0: 1.0, 1: -1.0, 2: -1.0, 3: 1.0}.get(int(t / PULSE + 1e-9), 0.0) * height
+        return {0: 1.0, 1: -1.0, 2: -1.0, 3: 1.0}.get(int(t / PULSE_TIME + 1e-9), 0.0) * height
 
     return signal
 

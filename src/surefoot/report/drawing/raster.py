@@ -91,7 +91,7 @@ class Light(NamedTuple):
 
 
 @compiled
-def light_share(light: Light, x: float, y: float, z: float) -> float:
+def sunlit_fraction(light: Light, x: float, y: float, z: float) -> float:
     """Return the share of the sun that reaches a point at height z [m] on the ray to (x, y) on the ground."""
     height, width = light.occluder.shape
     column, row = (x - light.low[0]) / light.texel - 1.0, (y - light.low[1]) / light.texel - 1.0
@@ -110,7 +110,7 @@ def light_share(light: Light, x: float, y: float, z: float) -> float:
 
 
 @compiled
-def dark_share(x: float, y: float, reach_x: float, reach_y: float, tile: float) -> float:
+def dark_fraction(x: float, y: float, reach_x: float, reach_y: float, tile: float) -> float:
     """Return the share of dark squares in a pixel that reaches so far along x and y around a place [m]."""
     # A wave of +1 and -1 along x times one along y, each averaged over the pixel.
     wide_x, wide_y = 0.5 * reach_x / tile, 0.5 * reach_y / tile
@@ -122,7 +122,7 @@ def dark_share(x: float, y: float, reach_x: float, reach_y: float, tile: float) 
 
 
 @compiled
-def shadow_share(light: Light, x: float, y: float) -> float:
+def shadow_fraction(light: Light, x: float, y: float) -> float:
     """Return how dark the ground's shadow is at a place [m], 0 to 1."""
     rows, columns = light.shadow.shape
     column, row = (x - light.low[0]) / light.texel - 0.5, (y - light.low[1]) / light.texel - 0.5
@@ -153,8 +153,8 @@ def paint_ground(picture: Any, ground: Any, eye: Any, tile: float, light: Light,
     for i in range(ground.shape[0]):
         for j in range(ground.shape[1]):
             x, y = eye[0] + ground[i, j, 0], eye[1] + ground[i, j, 1]
-            share = 1.0 - ground[i, j, 7] * dark_share(x, y, ground[i, j, 2], ground[i, j, 3], tile)
-            share *= 1.0 - dim * shadow_share(light, x, y)
+            share = 1.0 - ground[i, j, 7] * dark_fraction(x, y, ground[i, j, 2], ground[i, j, 3], tile)
+            share *= 1.0 - dim * shadow_fraction(light, x, y)
             share = np.sqrt(share)
             for k in range(3):
                 picture[first + i, j, k] = np.uint8(ground[i, j, 4 + k] * share)
@@ -204,7 +204,7 @@ def _color(
         off = 2.0 * light.texel
         z = eye[2] + depth * rz + off * nz
         slant = z / lz
-        sun = light_share(
+        sun = sunlit_fraction(
             light, eye[0] + depth * rx + off * nx - lx * slant, eye[1] + depth * ry + off * ny - ly * slant, z
         )
     # Between the directions to sun and eye: a glossy surface with this normal shines.

@@ -18,7 +18,7 @@ from surefoot.arrays import Array
 from surefoot.report.drawing.ground_part import faces, ground_around, step_edges
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.raster import Light, SurfaceArrays, paint_faces, paint_ground, rasterize
-from surefoot.report.drawing.uneven_ground import GroundLook, VisibleGround, clip, paint_uneven
+from surefoot.report.drawing.uneven_ground import GroundStyle, VisibleGround, clip, paint_uneven
 from surefoot.world.ground import FLAT, Ground
 
 TILE = 0.25
@@ -168,11 +168,11 @@ def _paint_ground(picture: NDArray[np.uint8], view: View, light: Light, base: fl
     normals = normals[owner[seen]]
     away = ((triangles[owner[seen], 0] - view.eye) * normals).sum(axis=1)
     highest, radius = max(float(light.occluder.max()), 1e-6), _SPREAD / light.texel
-    cover = np.maximum(_blurred(light.occluder > 0.0, radius, 1.0), 0.02)
-    top = highest * _blurred(light.occluder, radius, highest) / cover
+    cover = np.maximum(_blur(light.occluder > 0.0, radius, 1.0), 0.02)
+    top = highest * _blur(light.occluder, radius, highest) / cover
     ground = VisibleGround(np.column_stack([normals, away]), step_edges(part), part.course, part.grid, top, base)
     color, haze = 255.0 * _GROUND, 255.0 * _HAZE
-    look = GroundLook(color, haze, TILE, _DARK, _SHADOW, float(_FAR * view.above), float(_HAZY * view.above))
+    look = GroundStyle(color, haze, TILE, _DARK, _SHADOW, float(_FAR * view.above), float(_HAZY * view.above))
     rays = view.rays(np.zeros(2), _PARTS)
     paint_uneven(picture, face_at, _PARTS, ground, view.eye, rays, light, look)
     return nearest
@@ -202,14 +202,14 @@ def _soften(occluder: NDArray[np.float32], texel: float) -> NDArray[np.float32]:
     """Return the shadow (H, W), 0 to 1, of what stands at these heights: the higher, the softer."""
     top = max(float(occluder.max()), 1e-6)
     cover, radius = occluder > 0.0, 0.05 * top / texel
-    sharp, soft = _blurred(cover, 1.0, 1.0), _blurred(cover, radius, 1.0)
+    sharp, soft = _blur(cover, 1.0, 1.0), _blur(cover, radius, 1.0)
     # Mean height of what is around a place, as a share of the greatest.
-    share = np.clip(1.6 * _blurred(occluder, radius, top) / np.maximum(soft, 0.02), 0.0, 1.0)
+    share = np.clip(1.6 * _blur(occluder, radius, top) / np.maximum(soft, 0.02), 0.0, 1.0)
     shadow: NDArray[np.float32] = (sharp + share * (soft - sharp)).astype(np.float32)
     return shadow
 
 
-def _blurred(values: NDArray[Any], radius: float, top: float) -> NDArray[np.float32]:
+def _blur(values: NDArray[Any], radius: float, top: float) -> NDArray[np.float32]:
     """Return values (H, W) from 0 to `top` as blurred shares of it; `radius` in places."""
     image = Image.fromarray((255.0 / top * values).astype(np.uint8)).filter(ImageFilter.GaussianBlur(radius))
     return np.asarray(image, np.float32) / np.float32(255.0)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.report.drawing.raster import SKY, SUN, UP, Light, compiled, dark_share, shadow_share
+from surefoot.report.drawing.raster import SKY, SUN, UP, Light, compiled, dark_fraction, shadow_fraction
 
 _LINE, _LINE_DARK = 0.015, 0.55
 """Width [m] of the line along the edge of a step, and how much darker it is, as a share."""
@@ -43,7 +43,7 @@ def clip(points: Array, near: float) -> tuple[Array, NDArray[np.int64]]:
     return np.concatenate(pieces), np.concatenate(owners)
 
 
-class GroundLook(NamedTuple):
+class GroundStyle(NamedTuple):
     """What the ground looks like."""
 
     color: Any
@@ -94,7 +94,7 @@ _tint = compiled(height_tint)
 
 
 @compiled
-def _line_share(x: float, y: float, reach_x: float, reach_y: float, edges: Any, grid: Any) -> float:
+def _line_fraction(x: float, y: float, reach_x: float, reach_y: float, edges: Any, grid: Any) -> float:
     """Return the share of a pixel around a place that is on the line along the edge of a step down."""
     place_x, place_y = (x - grid[0]) / grid[2], (y - grid[1]) / grid[2]
     i = min(max(int(np.floor(place_x)), 0), len(edges) - 1)
@@ -131,7 +131,7 @@ def _shade(
     eye: Any,
     rays: Any,
     light: Light,
-    look: GroundLook,
+    look: GroundStyle,
 ) -> tuple[float, float, float]:
     """Return the color of the ground, 0 to 255, where the ray through a part of a pixel meets a face's plane."""
     rx = rays[0, 0] * column + rays[1, 0] * row + rays[2, 0]
@@ -153,15 +153,15 @@ def _shade(
             reach_x = max(reach_x, abs(parts * depth * (rays[k, 0] - slant * rx)))
             reach_y = max(reach_y, abs(parts * depth * (rays[k, 1] - slant * ry)))
         dark = look.dark * max(1.0 - distance / look.far, 0.0)
-        share = 1.0 - dark * dark_share(x, y, reach_x, reach_y, look.tile)
-        share *= 1.0 - _LINE_DARK * _line_share(x, y, reach_x, reach_y, seen.edges, seen.grid)
+        share = 1.0 - dark * dark_fraction(x, y, reach_x, reach_y, look.tile)
+        share *= 1.0 - _LINE_DARK * _line_fraction(x, y, reach_x, reach_y, seen.edges, seen.grid)
     below = _level(x, y, seen.course, seen.grid) - z
     if below > 0.0:
         share *= 1.0 - _DEPTH_DARK * (1.0 - np.exp(-below / _DEPTH))
     lx, ly, lz = light.direction[0], light.direction[1], light.direction[2]
     slant = (z - seen.base) / lz
     shadow_x, shadow_y = x - lx * slant, y - ly * slant
-    shadow = shadow_share(light, shadow_x, shadow_y)
+    shadow = shadow_fraction(light, shadow_x, shadow_y)
     if shadow > 0.0:
         c, r = int((shadow_x - light.low[0]) / light.texel), int((shadow_y - light.low[1]) / light.texel)
         # What is above the parts of the robot that are in the light's way there is not in their shadow.
@@ -182,7 +182,7 @@ def _shade(
 
 @compiled
 def paint_uneven(
-    picture: Any, face_at: Any, parts: int, seen: VisibleGround, eye: Any, rays: Any, light: Light, look: GroundLook
+    picture: Any, face_at: Any, parts: int, seen: VisibleGround, eye: Any, rays: Any, light: Light, look: GroundStyle
 ) -> None:
     """Paint the faces of a ground over a picture.
 

@@ -11,15 +11,15 @@ import pandas as pd
 
 from surefoot.evaluation.gap import PolicyGap
 from surefoot.evaluation.statistics import CONFIDENCE, MeanEstimate, crossed_interval
-from surefoot.report.figures.style import INK, QUIET, new_figure, place_labels, scattered
+from surefoot.report.figures.style import INK, QUIET, new_figure, place_labels, spread_dots
 from surefoot.tables import with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_GROUP = 0.8
+_GROUP_WIDTH = 0.8
 """Width of the bars of a policy's returns, where policies are 1 apart."""
-_PALE = 0.5
+_BAR_ALPHA = 0.5
 _MAX_DOTS = 100
 
 
@@ -49,14 +49,14 @@ def gap_figure(policies: Sequence[PolicyGap], path: str | Path, unit: str = "m",
         )
         ax.set_xlabel(legend, color=QUIET, fontsize=8.0, labelpad=6.0)
         for number, name in enumerate(names):
-            ax.bar(0, 0, color=f"C{number}", alpha=_PALE, label=name if number else f"{name} (home)")
+            ax.bar(0, 0, color=f"C{number}", alpha=_BAR_ALPHA, label=name if number else f"{name} (home)")
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, borderaxespad=0.2, columnspacing=1.4)
     return Path(path)
 
 
 def _return_bar(ax: Axes, place: int, number: int, count: int, policy: PolicyGap, over_policies: bool) -> None:
     world = policy.worlds[number]
-    runs, wide, color = policy.in_world(world), _GROUP / count, f"C{number}"
+    runs, wide, color = policy.in_world(world), _GROUP_WIDTH / count, f"C{number}"
     x = place + wide * (number - (count - 1) / 2)
     estimate, measured = MeanEstimate.from_values(runs["return"]), runs[runs["return"].notna()]
     error = estimate.error
@@ -67,10 +67,10 @@ def _return_bar(ax: Axes, place: int, number: int, count: int, policy: PolicyGap
     top, notes = 0.0, []
     if len(measured):
         error = error if math.isfinite(error) else 0.0
-        ax.bar(x, estimate.mean, 0.9 * wide, color=color, alpha=_PALE, linewidth=0)
+        ax.bar(x, estimate.mean, 0.9 * wide, color=color, alpha=_BAR_ALPHA, linewidth=0)
         ax.errorbar(x, estimate.mean, error, color=INK, linewidth=1.3, capsize=4.0, zorder=3)
         if 1 < len(measured) <= _MAX_DOTS:
-            across = x + scattered(len(measured), 0.5 * wide)
+            across = x + spread_dots(len(measured), 0.5 * wide)
             for some, marker in ((~measured.fell, "o"), (measured.fell, "x")):
                 ax.plot(across[some], measured["return"][some], marker, color=color, markersize=3.6, alpha=0.9)
         top = max(estimate.mean + error, float(measured["return"].max()), 0.0)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surefoot.identify.result import Identification, ParameterEstimate, Series
-from surefoot.report.figures.style import BLUE, INK, LEG_COLORS, ORANGE, QUIET, new_figure, spoken
+from surefoot.report.figures.style import BLUE, INK, LEG_COLORS, ORANGE, QUIET, new_figure, humanize
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 
@@ -103,7 +103,7 @@ def _intervals(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescrip
     ax.axvline(0.0, color=QUIET, linewidth=0.9, linestyle=(0, (4, 3)), zorder=0.5)
     ax.set_xlim(-1.12 * reach, 1.12 * reach)
     ax.set_ylim(len(items) - 0.4, -0.6)
-    ax.set_yticks(range(len(items)), [spoken(full_name(item.label, robot)) for item in items])
+    ax.set_yticks(range(len(items)), [humanize(full_name(item.label, robot)) for item in items])
     ax.tick_params(axis="y", length=0)
     ax.grid(visible=False, axis="y")
     ax.set_xlabel("difference from the prior value (%), 95 % interval")
@@ -115,7 +115,7 @@ def _correlations(ax: Axes, result: Identification, robot: RobotDescription) -> 
     pairs = result.correlations
     for place, (one, other, value) in enumerate(pairs):
         ax.barh(place, value, 0.3, color=ORANGE if value < 0 else BLUE, alpha=0.45, linewidth=0)
-        text = "\nand ".join(spoken(full_name(label, robot)) for label in (one, other))
+        text = "\nand ".join(humanize(full_name(label, robot)) for label in (one, other))
         ax.text(0.0, place - 0.42, text, **_SMALL, linespacing=1.0)
         ax.text(value / 2, place, f"{value:+.2f}", ha="center", va="center", fontsize=7.5, color=INK)
     ax.axvline(0.0, color=QUIET, linewidth=0.9, zorder=0.5)
@@ -146,12 +146,12 @@ def _motors(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescriptio
         ax.errorbar(place, item.value, yerr=[[max(item.value - low, 0.0)], [max(high - item.value, 0.0)]], **_BAR,
                     color=LEG_COLORS.get(leg, BLUE))  # fmt: skip
     ax.set_xlim(-0.7, len(names) - 0.3)
-    labels = [spoken(name) for name in names]
+    labels = [humanize(name) for name in names]
     ax.set_xticks(range(len(names)), labels, rotation=40, ha="right", rotation_mode="anchor", fontsize=7.5)
     ax.tick_params(axis="x", length=0)
     ax.grid(visible=False, axis="x")
     unit = "" if items[0].unit == "1" else f" ({items[0].unit})"
-    ax.set_title(f"{spoken(items[0].name).capitalize()}{unit}", fontweight="bold", pad=18.0)
+    ax.set_title(f"{humanize(items[0].name).capitalize()}{unit}", fontweight="bold", pad=18.0)
     ax.text(0.0, 1.03, "dashed: prior", transform=ax.transAxes, fontsize=7.5, color=QUIET)
     ax.margins(y=0.15)
 

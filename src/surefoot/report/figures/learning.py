@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.report.figures.style import heading, new_figure, spoken
+from surefoot.report.figures.style import heading, new_figure, humanize
 from surefoot.robot.commands import COMMANDS
 from surefoot.tables import with_unit
 
@@ -49,7 +49,7 @@ def learning_curves(groups: Mapping[str, Sequence[pd.DataFrame]], path: str | Pa
     Tasks with commands have their errors in place of the speed. `unit` is that of returns.
     """
     steered = all(set(COMMANDS) <= set(curve) for curves in groups.values() for curve in curves)
-    errors = [(name, with_unit(f"Error of {spoken(name)}", error_unit)) for name, error_unit in COMMANDS.items()]
+    errors = [(name, with_unit(f"Error of {humanize(name)}", error_unit)) for name, error_unit in COMMANDS.items()]
     parts = [
         ("return", with_unit("Return of an episode", unit)),
         *(errors if steered else [("speed", "Speed (m/s)")]),

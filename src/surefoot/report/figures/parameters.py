@@ -19,8 +19,8 @@ from surefoot.report.figures.style import (
     heading,
     new_figure,
     place_labels,
-    scattered,
-    spoken,
+    spread_dots,
+    humanize,
 )
 from surefoot.tables import with_unit
 
@@ -101,7 +101,7 @@ def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path, uni
         for place, result in enumerate(sensitivities):
             color, means = f"C{place}", result.worlds.return_mean
             ax.barh(place, result.mean, 0.62, color=color, alpha=0.35, linewidth=0)
-            across = place + scattered(len(means), 0.5)
+            across = place + spread_dots(len(means), 0.5)
             ax.plot(means, across, "o", color=color, alpha=0.55, markersize=2.8, markeredgewidth=0)
             ax.errorbar(result.mean, place, xerr=result.std, color=INK, linewidth=1.3, capsize=4.0)
             ax.plot(result.nominal["return"].mean(), place, "D", color="white", markeredgecolor=INK, markersize=5.5)
@@ -150,4 +150,4 @@ def _training(ax: Axes, result: Sensitivity, row: str, number: int, trained: tup
 
 def _titled(row: str) -> str:
     """Return a parameter's name with its unit, as a title."""
-    return with_unit(capital(spoken(row)), row_unit(row))
+    return with_unit(capital(humanize(row)), row_unit(row))

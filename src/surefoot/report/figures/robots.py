@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.evaluation.statistics import CONFIDENCE, t_interval
-from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure, place_labels, scattered
+from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure, place_labels, spread_dots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _WIDTH = 0.36
 """Width of a bar, where groups are 1 apart."""
-_PALE = 0.4
+_BAR_ALPHA = 0.4
 
 
 @dataclass(frozen=True)
@@ -63,20 +63,20 @@ def robots_figure(groups: Sequence[GroupOnRobots], path: str | Path, marked: str
         legend = f"bars: mean and interval of {CONFIDENCE:.0%} over robots; dots: robots"
         ax.set_xlabel(legend + (f"; crosses: {marked}" if marked else ""), color=QUIET, fontsize=8.0, labelpad=6.0)
         for color, name in ((BLUE, "in simulation"), (ORANGE, "on the robot")):
-            ax.bar(0, 0, color=color, alpha=_PALE, label=name)
+            ax.bar(0, 0, color=color, alpha=_BAR_ALPHA, label=name)
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, columnspacing=1.4)
     return Path(path)
 
 
 def _group(ax: Axes, place: int, group: GroupOnRobots, marked: bool) -> None:
-    across = scattered(len(group.home), 0.4 * _WIDTH)
+    across = spread_dots(len(group.home), 0.4 * _WIDTH)
     places = [place - _WIDTH / 2 - 0.01 + across, place + _WIDTH / 2 + 0.01 + across]
     ax.plot(places, [group.home, group.on_robot], color=QUIET, linewidth=0.6, alpha=0.45, zorder=2)
     crosses = group.marked if marked else np.zeros(len(group.home), np.bool_)
     for x, values, color in zip(places, (group.home, group.on_robot), (BLUE, ORANGE), strict=True):
         interval, middle = t_interval(values), float(np.mean(x - across))
         error = interval.high - interval.mean if interval.is_finite else 0.0
-        ax.bar(middle, interval.mean, _WIDTH, color=color, alpha=_PALE, linewidth=0)
+        ax.bar(middle, interval.mean, _WIDTH, color=color, alpha=_BAR_ALPHA, linewidth=0)
         ax.errorbar(middle, interval.mean, error, color=INK, linewidth=1.3, capsize=4.0, zorder=4)
         for some, marker, size in ((~crosses, "o", 3.8), (crosses, "x", 5.0)):
             ax.plot(x[some], values[some], marker, color=color, markersize=size, alpha=0.9, zorder=3)

@@ -25,7 +25,7 @@ from surefoot.report.figures.style import (
     heading,
     new_figure,
     place_labels,
-    spoken,
+    humanize,
 )
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -95,7 +95,7 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
                 # Dashed, so that a foot shows under the one that it moves with.
                 line = "--" if "right" in leg else "-"
                 color = LEG_COLORS.get(leg, f"C{index}")
-                ax.plot(trace.time[shown], angle[:, index], line, color=color, label=spoken(leg))
+                ax.plot(trace.time[shown], angle[:, index], line, color=color, label=humanize(leg))
             ax.set_title(f"Leg: {name} over one second{'' if unit == '1' else f' ({unit})'}")
             ax.set_xlim(start, start + _ZOOM_TIME)
             ax.set_xlabel("time (s)")
@@ -131,7 +131,7 @@ def _stance_bars(ax: Axes, feet: Footfalls) -> None:
     for row, leg in enumerate(legs):
         bars = [(max(a, start), min(b, end) - max(a, start)) for a, b in feet.intervals[leg] if b > start and a < end]
         ax.broken_barh(bars, (row - 0.34, 0.68), facecolors=LEG_COLORS.get(leg, BLUE), linewidth=0)
-    place_labels(ax, [f"{spoken(leg)} ({feet.duty_factor[leg]:.2f})" for leg in legs], vertical=True)
+    place_labels(ax, [f"{humanize(leg)} ({feet.duty_factor[leg]:.2f})" for leg in legs], vertical=True)
     ax.set_ylim(-0.6, len(legs) - 0.4)
     ax.set_xlim(start, end)
 

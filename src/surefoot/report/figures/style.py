@@ -93,12 +93,12 @@ def place_labels(axis: Axes, labels: list[str], vertical: bool = False) -> None:
     axis.grid(visible=False, axis=name)  # type: ignore[arg-type]
 
 
-def scattered(count: int, width: float) -> Array:
+def spread_dots(count: int, width: float) -> Array:
     """Return places (count,) around 0 that spread dots evenly, by the golden ratio."""
     return np.asarray(width * ((np.arange(count) * 0.618034) % 1.0 - 0.5), np.float64)
 
 
-def spoken(name: str) -> str:
+def humanize(name: str) -> str:
     """Return a name as words, such as front left for front_left."""
     return name.replace("_", " ").replace("imu", "IMU")
 

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from surefoot import __version__
-from surefoot.adopt.diagnosis import REPEATS, Diagnosis
+from surefoot.adopt.diagnosis import FINAL_REPEATS, Diagnosis
 from surefoot.adopt.examination import GOOD, MAX_ERROR, Answer
 from surefoot.check_result import CheckResult
 from surefoot.files import atomic_write
@@ -72,11 +72,11 @@ def _verdict(diagnosis: Diagnosis) -> str:
     )
     if diagnosis.constants is not None:
         return f"{text} {diagnosis.constants.text}"
-    if diagnosis.explained is not None and not diagnosis.is_shown:
+    if diagnosis.explained is not None and not diagnosis.is_confirmed:
         return f"{text} With {diagnosis.explained.text} it walks as it is: its configuration may be right."
     if mistake is None or mistake.correction is None:
         return f"{text} No usual mistake explains it." if good < len(own.scores) else text
-    if not diagnosis.is_shown:
+    if not diagnosis.is_confirmed:
         return f"{text} A number is unusual, although robots do not show it. {mistake.correction.text}."
     after = int((mistake.scores >= GOOD).sum())
     return f"{text} Most likely mistake: {mistake.correction.text}. With that changed it follows {after}."
@@ -90,7 +90,7 @@ def _tried(answers: Sequence[Answer], count: int) -> str:
         rows.append(html.row((answer.text, *scores, f"{answer.score:.2f}"), f"t{'n' * len(names)}n"))
     note = (
         f"{count} changes of the configuration, and other robots, were tried, each with one robot for each of some "
-        f"commands; the best again, those below, with {REPEATS} other robots for each command. The most likely is the "
+        f"commands; the best again, those below, with {FINAL_REPEATS} other robots for each command. The most likely is the "
         "first; one that leads to unusual numbers is less likely than its score. Scores: 1 follows the command "
         f"exactly; 0 falls, or errs by {MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or "
         f"{MAX_ERROR[2]:g} rad/s."

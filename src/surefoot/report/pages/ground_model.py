@@ -38,8 +38,8 @@ def ground_model(part: Ground) -> bytes:
     low, high = float(part.corners.min()), float(part.corners.max())
     scene = trimesh.Scene()
     looks: list[tuple[str, Any, Image.Image]] = [
-        ("surface", ~is_wall, _picture(part)),
-        ("walls", is_wall, _wall_picture(low, high)),
+        ("surface", ~is_wall, _surface_texture(part)),
+        ("walls", is_wall, _wall_texture(low, high)),
     ]
     for name, rows, look in looks:
         if not rows.any():
@@ -57,13 +57,13 @@ def ground_model(part: Ground) -> bytes:
     return bytes(scene.export(file_type="glb"))
 
 
-def _wall_picture(low: float, high: float) -> Image.Image:
+def _wall_texture(low: float, high: float) -> Image.Image:
     """Return the color of walls between two heights [m], the high one on top."""
     tint = np.stack(height_tint(np.linspace(high, low, _WALL_PIXELS)), axis=-1)
     return Image.fromarray((tint[:, None] * _WALL).repeat(2, axis=1).astype(np.uint8))
 
 
-def _picture(part: Ground) -> Image.Image:
+def _surface_texture(part: Ground) -> Image.Image:
     """Return the squares of a ground from above, x to the right and y up, and the lines along edges."""
     at = (np.arange(_PIXELS) + 0.5) * part.cell * len(part.corners) / _PIXELS
     x, y = (np.floor((at + low) / _TILE).astype(int) for low in part.grid[:2])

@@ -83,7 +83,7 @@ def read_message(kind: type[T], text: str | bytes) -> T:
         SurefootError: no JSON, unknown keys, no key at all, or values of the wrong type, length or range.
     """
     try:
-        data = json.loads(text, parse_constant=_refuse_constant)
+        data = json.loads(text, parse_constant=_reject_constant)
     except (ValueError, RecursionError) as error:
         raise SurefootError(f"message is no JSON: {error}") from None
     if not isinstance(data, dict) or not data or None in data.values():
@@ -92,5 +92,5 @@ def read_message(kind: type[T], text: str | bytes) -> T:
     return from_mapping(kind, data)
 
 
-def _refuse_constant(word: str) -> Any:
+def _reject_constant(word: str) -> Any:
     raise ValueError(f"{word} is not a number")

@@ -69,11 +69,11 @@ class _GarbageFilter(logging.Filter):
         if not record.exc_info or connection is None or connection.local_address[1] not in self.ports:
             return True
         first, self._said = not self._said, True
-        record.msg, record.args, record.exc_info = "surefoot: %s", (_GARBAGE,), None
+        record.msg, record.args, record.exc_info = "surefoot: %s", (_INVALID_INPUT,), None
         return first
 
 
-_GARBAGE = "the port of the 3D view received what no browser sends; it is ignored, and so is any more of it"
+_INVALID_INPUT = "the port of the 3D view received what no browser sends; it is ignored, and so is any more of it"
 _garbage_filter = _GarbageFilter()
 
 

@@ -159,7 +159,7 @@ def decode(data: bytes, path: Path) -> ImportedRobot:
 def main(words: Sequence[str]) -> int:
     """Read the file of the first word and write the robot to standard output; 2 after an error, which is printed."""
     file, forward, meshes, memory, time = words
-    output = sandbox.take_output()
+    output = sandbox.claim_stdout()
     from surefoot.robot.importing import reader
 
     sandbox.limit_resources(Limits(int(memory), float(time), 0.0))

@@ -12,13 +12,13 @@ from mujoco import mjtJoint
 from surefoot.arrays import Array
 from surefoot.errors import choices
 
-_PLAY = 0.1
+_MAX_PLAY = 0.1
 """Widest range [rad] of a hinge that is play."""
-_PARALLEL = 1e-3
+_PARALLEL_TOLERANCE = 1e-3
 """Sine of the angle between axes, and their distance [m], up to which two hinges turn alike."""
 _TURNS = 4 * math.pi
 """Range [rad] from which on a hinge turns round and round."""
-_CENTRED = 0.25
+_MAX_WHEEL_OFFSET = 0.25
 """How far the middle of a wheel may be from its axis, over its radius."""
 
 
@@ -30,13 +30,13 @@ def find_play(model: mujoco.MjModel, data: mujoco.MjData) -> dict[int, int]:
     hinges = np.flatnonzero(model.jnt_type == mjtJoint.mjJNT_HINGE.value)
     width = np.where(model.jnt_limited == 1, np.ptp(model.jnt_range, axis=1), math.inf)
     play = {}
-    for joint in hinges[width[hinges] <= _PLAY]:
+    for joint in hinges[width[hinges] <= _MAX_PLAY]:
         body = int(model.jnt_bodyid[joint])
         near = [body, int(model.body_parentid[body]), *np.flatnonzero(model.body_parentid == body)]
-        for other in hinges[np.isin(model.jnt_bodyid[hinges], near) & (width[hinges] > _PLAY)]:
+        for other in hinges[np.isin(model.jnt_bodyid[hinges], near) & (width[hinges] > _MAX_PLAY)]:
             axis, apart = data.xaxis[joint], data.xanchor[other] - data.xanchor[joint]
             turn, distance = np.cross(axis, data.xaxis[other]), np.cross(axis, apart)
-            if max(float(np.linalg.norm(turn)), float(np.linalg.norm(distance))) <= _PARALLEL:
+            if max(float(np.linalg.norm(turn)), float(np.linalg.norm(distance))) <= _PARALLEL_TOLERANCE:
                 play[int(joint)] = int(other)
     return play
 
@@ -68,7 +68,7 @@ def is_wheel(model: mujoco.MjModel, data: mujoco.MjData, above: int, hinge: int,
     away = points - data.xanchor[hinge]
     away = away - np.outer(away @ axis, axis)
     middle = (away.min(axis=0) + away.max(axis=0)) / 2
-    return float(np.linalg.norm(middle)) < _CENTRED * float(np.linalg.norm(away, axis=1).max())
+    return float(np.linalg.norm(middle)) < _MAX_WHEEL_OFFSET * float(np.linalg.norm(away, axis=1).max())
 
 
 def describe_wheels(names: Sequence[str], is_urdf: bool) -> str:

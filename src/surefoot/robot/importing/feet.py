@@ -14,12 +14,12 @@ from surefoot.robot.importing.foot import fit_sphere, sole_sphere
 from surefoot.robot.importing.shapes import BodyShapes
 
 _NAMES = re.compile(r"foot|toe|tip|sole|ankle", re.IGNORECASE)
-_SPHERE = "the last link's sphere"
-_END = 0.9
+_SPHERE_SOURCE = "the last link's sphere"
+_MIN_FOOT_DISTANCE = 0.9
 """How far from the knee a sphere must reach to be the foot, over the farthest point of the last link."""
-_BEYOND = 1.02
+_MIN_NAMED_DISTANCE = 1.02
 """How far a link that is named as a foot is from the knee, over the farthest shape, if the foot has no shape."""
-_SOLE = 0.95
+_MIN_SOLE_DISTANCE = 0.95
 """How far from the knee points of the sole are, over the farthest one."""
 
 
@@ -51,18 +51,18 @@ def find_foot(shapes: BodyShapes, body: int, knee: Array) -> Foot | None:
     if spheres.size:
         distances = np.linalg.norm(data.geom_xpos[spheres] - knee, axis=1)
         last = spheres[np.argmax(distances)]
-        if distances.max() + model.geom_size[last, 0] >= _END * reach:  # else it is no foot
-            return Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), _SPHERE)
+        if distances.max() + model.geom_size[last, 0] >= _MIN_FOOT_DISTANCE * reach:  # else it is no foot
+            return Foot(data.geom_xpos[last], float(model.geom_size[last, 0]), _SPHERE_SOURCE)
     named = [b for b in np.flatnonzero(shapes.group == body) if _NAMES.search(model.body(int(b)).name)]
     if not len(points) and not named:
         return None
-    if not len(points) or (named and np.linalg.norm(data.xpos[named[-1]] - knee) > _BEYOND * reach):
+    if not len(points) or (named and np.linalg.norm(data.xpos[named[-1]] - knee) > _MIN_NAMED_DISTANCE * reach):
         end = data.xpos[named[-1]].copy()
         return Foot(end, _thickness(shapes, geoms, end, knee), "a link named so")
     end = data.xpos[named[-1]] if named else points[np.argmax(away)]
     if (sphere := fit_sphere(points, knee, end)) is not None:
         return Foot(*sphere, "a sphere fitted to the end of the last link's shapes")
-    end = data.xpos[named[-1]] if named else points[away > _SOLE * reach].mean(axis=0)
+    end = data.xpos[named[-1]] if named else points[away > _MIN_SOLE_DISTANCE * reach].mean(axis=0)
     return Foot(*sole_sphere(points, knee, end), "a sphere with the lowest point of the last link's shapes")
 
 
@@ -81,7 +81,7 @@ def _thickness(shapes: BodyShapes, geoms: NDArray[np.int64], place: Array, knee:
 def pair_feet(feet: list[Foot]) -> list[Foot]:
     """Return the feet, by `LEGS`, with one radius left and right where both are estimates."""
     for left, right in ((0, 1), (2, 3)):
-        if _SPHERE not in (feet[left].source, feet[right].source):
+        if _SPHERE_SOURCE not in (feet[left].source, feet[right].source):
             radius = (feet[left].radius + feet[right].radius) / 2
             feet[left], feet[right] = feet[left]._replace(radius=radius), feet[right]._replace(radius=radius)
     return feet

@@ -13,7 +13,7 @@ _RESIDUAL = 0.1
 """How far the foot may be from a sphere, over its radius."""
 _POINTS = 128
 """Points around a shape."""
-_SOLE = 0.01
+_MIN_SOLE_DISTANCE = 0.01
 """How far points of the sole may be from its lowest one, over the shank's length."""
 _WIDEST = 1.5
 """Radius of a sphere that stands in for a foot with a flat sole, over half of the sole, at most."""
@@ -57,7 +57,7 @@ def sole_sphere(points: Array, knee: Array, end: Array) -> tuple[Array, float]:
     along = down[straight]
     across = np.array([-along[1], along[0]])
     # The middle of the sole, across the shank.
-    lowest = depths[:, straight] > depth[straight] - _SOLE * length
+    lowest = depths[:, straight] > depth[straight] - _MIN_SOLE_DISTANCE * length
     sole = points[:, [0, 2]][lowest] @ across
     middle = float(sole.min() + sole.max()) / 2
     rest = depth - middle * (down @ across) - depth[straight] * (down @ along)

@@ -11,22 +11,22 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
-from surefoot.robot.rigid_body import are_moments, box_moments, describe_gyration, first_of
+from surefoot.robot.rigid_body import are_valid_moments, box_moments, describe_gyration, first_with_count
 from surefoot.robot.urdf_file import attribute, read_frame, read_inertia, read_number, read_shape
 
-_NO_MASS = 1e-6
+_MAX_FRAME_MASS = 1e-6
 """Mass [kg] below which a fixed link is a frame: CAD exporters give frames such masses."""
 _DENSITY = 1000.0
 """Density [kg/m3] of a link of which nothing but the mass is known."""
-_THINNEST = 0.2
+_MIN_THICKNESS_RATIO = 0.2
 """Thickness of a link between its joints, over its length."""
-_NO_MOMENT = 1e-14
+_MIN_MOMENT = 1e-14
 """Moment of inertia [kg m2] below which MuJoCo takes it for none."""
-_POINT = 1e-12
+_MAX_POINT_INERTIA = 1e-12
 """Sum of moments [kg m2] of a fixed link below which it is a point mass."""
-_HEAVY = 0.2
+_MIN_BODY_FRACTION = 0.2
 """Share of the robot's mass from which a link without inertia is no point mass but a body, as its trunk."""
-_MIN_SHARE = 0.01
+_MIN_COMPARED_FRACTION = 0.01
 """Share of the robot's mass from which a link is compared with its own shapes; lighter ones with the robot."""
 _NO_PRODUCTS = dict.fromkeys(("ixy", "ixz", "iyz"), "0")
 """Attributes of an inertia without products."""
@@ -52,7 +52,7 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
             tensor = ElementTree.SubElement(inertial, "inertia", _NO_INERTIA)
         if mass == 0.0 or tensor is None:
             link.remove(inertial)
-        elif 0.0 < mass < _NO_MASS and name not in moved:
+        elif 0.0 < mass < _MAX_FRAME_MASS and name not in moved:
             link.remove(inertial)
             frames.append(name)
         else:
@@ -60,15 +60,15 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
     if not inertials:
         raise SurefootError(f"{path}: no link has an <inertial> with a mass; masses and inertias are needed")
     if frames:
-        notes.append(f"frames of less than {_NO_MASS:g} kg count as massless: {choices(frames)}")
+        notes.append(f"frames of less than {_MAX_FRAME_MASS:g} kg count as massless: {choices(frames)}")
     zero = [name for name, (_, mass, inertia) in inertials.items() if mass > 0 and not inertia.any()]
-    heavy = _HEAVY * sum(mass for _, mass, _ in inertials.values())
+    heavy = _MIN_BODY_FRACTION * sum(mass for _, mass, _ in inertials.values())
     made = [name for name in zero if len(zero) == len(inertials) or name in moved or inertials[name][1] > heavy]
     for name, (tensor, mass, inertia) in inertials.items():
         least = float(np.linalg.eigvalsh(inertia).min())
-        if mass <= 0 or least >= _NO_MOMENT or not inertia.any():
+        if mass <= 0 or least >= _MIN_MOMENT or not inertia.any():
             continue
-        if name not in moved and least >= 0 and float(np.trace(inertia)) < _POINT:
+        if name not in moved and least >= 0 and float(np.trace(inertia)) < _MAX_POINT_INERTIA:
             tensor.attrib |= _NO_INERTIA
             inertials[name] = tensor, mass, np.zeros((3, 3))
         else:  # MuJoCo refuses it
@@ -86,7 +86,7 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
     for name, (tensor, mass, inertia) in inertials.items():
         principal = np.linalg.eigvalsh(inertia)
         point_mass = mass > 0 and not np.diag(inertia).any()
-        if not point_mass and not (mass > 0 and are_moments(principal)):
+        if not point_mass and not (mass > 0 and are_valid_moments(principal)):
             odd.append(name)
         if not principal.min() > 0:
             tensor.attrib |= _NO_PRODUCTS
@@ -99,12 +99,12 @@ def drop_frame_masses(spec: mujoco.MjSpec, notes: list[str]) -> None:
     frames = [
         body
         for body in spec.bodies
-        if body.explicitinertial and 0 < body.mass < _NO_MASS and not body.joints and not body.geoms
+        if body.explicitinertial and 0 < body.mass < _MAX_FRAME_MASS and not body.joints and not body.geoms
     ]
     for body in frames:
         body.explicitinertial = False
     if frames:
-        notes.append(f"frames of less than {_NO_MASS:g} kg count as massless: {choices(body.name for body in frames)}")
+        notes.append(f"frames of less than {_MAX_FRAME_MASS:g} kg count as massless: {choices(body.name for body in frames)}")
 
 
 def _moved_links(root: ElementTree.Element) -> set[str]:
@@ -124,7 +124,7 @@ def _moments_of_shapes(link: ElementTree.Element, root: ElementTree.Element, mas
     sides = np.ptp(np.concatenate(points), axis=0)
     if not sides.any():
         return np.full(3, 0.4 * mass * (3 * mass / (4 * np.pi * _DENSITY)) ** (2 / 3))
-    return box_moments(mass, np.maximum(sides, _THINNEST * sides.max()))
+    return box_moments(mass, np.maximum(sides, _MIN_THICKNESS_RATIO * sides.max()))
 
 
 def _shape_corners(link: ElementTree.Element, path: Path) -> list[Array]:
@@ -158,8 +158,8 @@ def implausible_inertias(model: mujoco.MjModel, data: mujoco.MjData, points: Seq
         joints = data.xpos[[body, *np.flatnonzero(model.body_parentid == body)]]
         own = np.concatenate([points[body], joints])
         in_frame = (own - data.xipos[body]) @ data.xmat[body].reshape(3, 3)
-        known = len(points[body]) > 0 and mass > _MIN_SHARE * total
+        known = len(points[body]) > 0 and mass > _MIN_COMPARED_FRACTION * total
         words = describe_gyration(model.body(body).name, mass, moments, in_frame if known else None, robot_size)
         if words is not None:
             (large if words[0] else small).append(words[1])
-    return [first_of(words) for words in (large, small) if words]
+    return [first_with_count(words) for words in (large, small) if words]

@@ -35,7 +35,7 @@ _MIN_TRIANGLES = 24
 """What decimation leaves of the smallest parts."""
 _TOLERANCE = 0.01
 """How far decimation may move a surface, in sizes of the largest one."""
-_FEW_TRIANGLES = 500
+_FEW_EXTRA_TRIANGLES = 500
 """Triangles that are not worth a search for hidden ones."""
 _SAMPLES, _PIXELS = 40_000, 64
 """Points on a surface, and pixels along it, by which hidden triangles are recognized."""
@@ -249,7 +249,7 @@ def _reduce(surface: Surface, count: int, tolerance: float) -> Surface:
     # Slivers as CAD writes them can't be collapsed, but welded.
     welded = _weld(surface, 512)
     reduced = _simplify(welded, count, tolerance)
-    if len(reduced.faces) > max(1.5 * count, count + _FEW_TRIANGLES):
+    if len(reduced.faces) > max(1.5 * count, count + _FEW_EXTRA_TRIANGLES):
         reduced = _simplify(_drop_hidden(welded), count, tolerance)
     cells = 256
     while len(reduced.faces) > 8 * count and cells:

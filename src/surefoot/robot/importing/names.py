@@ -5,9 +5,9 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-_COMMON = re.compile(r"^(robot|model|urdf|mjcf|main|description|scene.*|world)$")
+_GENERIC_NAMES = re.compile(r"^(robot|model|urdf|mjcf|main|description|scene.*|world)$")
 """Names of files that say nothing about the robot."""
-_ENDS = re.compile(r"(_(simple|description|robot|urdf|mjcf|scene))+$")
+_SUFFIXES = re.compile(r"(_(simple|description|robot|urdf|mjcf|scene))+$")
 
 
 def robot_name(path: Path, inside: str) -> str:
@@ -25,7 +25,7 @@ def robot_name(path: Path, inside: str) -> str:
     packages = [folder for folder in path.resolve().parents[:3] if folder.name.endswith("_description")]
     package = _clean(packages[0].name) if packages else ""
     name = stem
-    if _COMMON.match(stem):
+    if _GENERIC_NAMES.match(stem):
         name = next((one for one in (inside, package, _clean(path.resolve().parent.name)) if one), stem)
     elif inside and stem.startswith(f"{inside}_"):
         name = inside
@@ -33,4 +33,4 @@ def robot_name(path: Path, inside: str) -> str:
 
 
 def _clean(text: str) -> str:
-    return _ENDS.sub("", re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_"))
+    return _SUFFIXES.sub("", re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_"))

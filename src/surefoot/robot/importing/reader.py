@@ -1,6 +1,6 @@
 """Reader of any quadruped's URDF or MJCF with MuJoCo's parsers.
 
-It sets no limits: what a stranger's file asks for is done. `confined.py` runs it in a process of its own.
+It sets no limits: what a stranger's file asks for is done. `isolated_reader.py` runs it in a process of its own.
 """
 
 from __future__ import annotations
@@ -47,10 +47,10 @@ from surefoot.robot.urdf_file import attribute, read_xml
 
 FORWARD = {"+x": 0.0, "-x": np.pi, "+y": -np.pi / 2, "-y": np.pi / 2}
 """Directions in the file's frame that may be forward, and the turn about z that brings them to +x [rad]."""
-_FRONT = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IGNORECASE)
+_FRONT_NAMES = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IGNORECASE)
 _AXIS_TOLERANCE = 1e-3
 """How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
-_CLEARLY = 0.9
+_MIN_AXIS_COSINE = 0.9
 """Cosine of an axis's angle to x or y from which it is along that."""
 _MAX_CHAIN = 100
 """Joints in a row that are looked at."""
@@ -323,9 +323,9 @@ class _Reader:
         chains = [longest(child) for child in children[base]]
         wheels = [chain[-1] for chain in chains if len(chain) > 2 and self._ends_in_wheel(chain)]
         if wheels and len(chains) == 4:
-            raise self._error(describe_wheels(self._names_of(wheels), self.is_urdf))
+            raise self._error(describe_wheels(self._joint_labels(wheels), self.is_urdf))
         if len(chains) == 4 and (springs := [chain[-1] for chain in chains if self._slides(chain[-1])]):
-            raise self._error(describe_springs(self._names_of(springs), self.is_urdf))
+            raise self._error(describe_springs(self._joint_labels(springs), self.is_urdf))
         legs = [chain for chain in chains if len(chain) in (2, 3)]
         legs = legs if len(legs) == 4 else chains
         for first, *_ in (chain for chain in chains if chain not in legs):
@@ -343,7 +343,7 @@ class _Reader:
         check_legs(self.path, model.body(base).name, names, next(iter(branches), None), model.neq > 0, slides)
         return legs, base
 
-    def _names_of(self, bodies: list[int]) -> list[str]:
+    def _joint_labels(self, bodies: list[int]) -> list[str]:
         """Return the names of the joints of bodies, and of the bodies where joints have none."""
         names = zip(self._joint_names(bodies), bodies, strict=True)
         return [name or f"the joint of body '{self.model.body(body).name or body}'" for name, body in names]
@@ -364,7 +364,7 @@ class _Reader:
         joints = self.hinge[chains]
         hips, knee = self.data.xanchor[joints[:, 0]], np.abs(self.data.xaxis[joints[0, -1]])
         axis = 0 if knee[1] > knee[0] else 1
-        front = np.array([bool(_FRONT.search(" ".join(self._joint_names(chain)))) for chain in chains])
+        front = np.array([bool(_FRONT_NAMES.search(" ".join(self._joint_names(chain)))) for chain in chains])
         ahead = 1.0
         if front.sum() == 2:
             ahead = hips[front, axis].mean() - hips[~front, axis].mean()
@@ -398,8 +398,8 @@ class _Reader:
         axes = self.data.xaxis[joints]
         if (
             len(chains[0]) == 3
-            and (np.abs(axes[:, 0, 1]) > _CLEARLY).all()
-            and (np.abs(axes[:, 1, 0]) > _CLEARLY).all()
+            and (np.abs(axes[:, 0, 1]) > _MIN_AXIS_COSINE).all()
+            and (np.abs(axes[:, 1, 0]) > _MIN_AXIS_COSINE).all()
         ):
             swing, abduction, _ = self._joint_names(chains[0])
             raise self._error(

@@ -13,7 +13,7 @@ from surefoot.robot.urdf_file import read_xml
 
 Pose = dict[str, float]
 """Angles [rad] by the joint's name."""
-_STANDING = re.compile(r"stand|half_sitting|home|default|init", re.IGNORECASE)
+_STANDING_NAMES = re.compile(r"stand|half_sitting|home|default|init", re.IGNORECASE)
 _MAX_FILES = 20
 """SRDF files that are looked at."""
 
@@ -25,7 +25,7 @@ def order_poses(poses: Iterator[tuple[str, Pose]]) -> tuple[tuple[str, Pose], ..
 
 def is_standing(source: str) -> bool:
     """Return whether where a pose is from, such as "keyframe 'home'", names one in which the robot stands."""
-    return bool(_STANDING.search(source.split("'")[1]))
+    return bool(_STANDING_NAMES.search(source.split("'")[1]))
 
 
 def srdf_poses(path: Path) -> Iterator[tuple[str, Pose]]:

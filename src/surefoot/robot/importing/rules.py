@@ -17,13 +17,13 @@ from surefoot.robot.archive import SHEET
 from surefoot.robot.description import RobotDescription
 from surefoot.robot.sheet import GRAVITY
 
-GUESSED = "guessed: "
+GUESS_PREFIX = "guessed: "
 """Beginning of the comment of a number in a sheet that a rule gave."""
-WARNING = "# likely wrong: "
+WARNING_PREFIX = "# likely wrong: "
 """Beginning of a line of a sheet about what is likely wrong in the file that it was made from."""
-CLEAR_FACTOR = 1.5
+MIN_REPORTED_FACTOR = 1.5
 """Ratio from which on a file's number and the rule's are said to differ."""
-_ORIGIN = re.compile(r"^(?P<key>[a-z_]+) = (?P<value>[^#\n]+?) *# *(?P<comment>[^\n]+)$", re.MULTILINE)
+_ANNOTATED_LINE = re.compile(r"^(?P<key>[a-z_]+) = (?P<value>[^#\n]+?) *# *(?P<comment>[^\n]+)$", re.MULTILINE)
 _TABLES = ("motors", "leg_space", "actuator", "timing", "contact")
 """Tables of a sheet whose numbers' origins are told."""
 
@@ -70,7 +70,7 @@ def factor_between(values: ArrayLike, rule: float) -> float:
 def describe_origins(robot: RobotDescription) -> Iterator[tuple[bool, str]]:
     """Yield for each number of a sheet whether a rule gave it, and key, value and origin as text.
 
-    Where the sheet states a number of a joint actuator, and the rule's differs by more than `CLEAR_FACTOR`, the text
+    Where the sheet states a number of a joint actuator, and the rule's differs by more than `MIN_REPORTED_FACTOR`, the text
     says so.
     """
     path = robot.folder / SHEET
@@ -82,12 +82,12 @@ def describe_origins(robot: RobotDescription) -> Iterator[tuple[bool, str]]:
     for table in _TABLES:
         start = text.find(f"\n[{table}]\n")
         part = text[start + 1 :].split("\n[", 1)[0] if start >= 0 else ""
-        for found in _ORIGIN.finditer(part):
+        for found in _ANNOTATED_LINE.finditer(part):
             key, comment = found["key"], found["comment"]
             if key not in data.get(table, {}):
                 continue
             where = f"{table}.{key} = {_shorten(data[table][key])}"
-            if comment.startswith(GUESSED):
+            if comment.startswith(GUESS_PREFIX):
                 yield True, f"{where}: {comment.removeprefix(GUESSED)}"
                 continue
             rule = rules.get(key) if table == "actuator" else None
@@ -97,12 +97,12 @@ def describe_origins(robot: RobotDescription) -> Iterator[tuple[bool, str]]:
 def read_warnings(robot: RobotDescription) -> list[str]:
     """Return what a robot's sheet holds about its file's likely errors."""
     lines = (robot.folder / SHEET).read_text(encoding="utf-8").splitlines()
-    return [line.removeprefix(WARNING) for line in lines if line.startswith(WARNING)]
+    return [line.removeprefix(WARNING_PREFIX) for line in lines if line.startswith(WARNING_PREFIX)]
 
 
 def _difference(values: ArrayLike, rule: Rule | None) -> str:
     """Return the end of a line that says by how much a stated number and the rule's differ; empty if not clearly."""
-    if rule is None or (factor := factor_between(values, rule.value)) <= CLEAR_FACTOR:
+    if rule is None or (factor := factor_between(values, rule.value)) <= MIN_REPORTED_FACTOR:
         return ""
     text = rule.text.partition(",")[0].partition(":")[0]
     return f"; the rule ({text}) gives {rule.value:.3g}, which differs by a factor of {factor:.2g}"

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot.actuator import PLACEHOLDER_TORQUE
+from surefoot.robot.actuator import MIN_PLACEHOLDER_TORQUE
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.resting_poses import is_standing
-from surefoot.robot.importing.rules import GUESSED, Rule, actuator_rules, damping_rule, one_line
-from surefoot.robot.importing.units import PLACEHOLDER_SPEED, explain_speeds
+from surefoot.robot.importing.rules import GUESS_PREFIX, Rule, actuator_rules, damping_rule, one_line
+from surefoot.robot.importing.units import MIN_PLACEHOLDER_SPEED, explain_speeds
 from surefoot.robot.sheet import GRAVITY
 
 _MAX_SPREAD = 0.06
@@ -25,7 +25,7 @@ def motor_order(robot: ImportedRobot) -> str:
     if robot.motor_order:
         return f"order = {json.dumps(robot.motor_order)}  # the order of the actuators in {one_line(robot.path.name)}"
     names: tuple[str, ...] = sum(robot.joints, ())
-    return f"order = {json.dumps(names)}  # {GUESSED}leg by leg; take the order of the robot's own interface"
+    return f"order = {json.dumps(names)}  # {GUESS_PREFIX}leg by leg; take the order of the robot's own interface"
 
 
 def leg_space(robot: ImportedRobot) -> list[str]:
@@ -39,7 +39,7 @@ def leg_space(robot: ImportedRobot) -> list[str]:
     abducts = len(robot.joints[0]) == 3
     abduction = float(np.fmin.reduce(np.abs(robot.limits[:, 0]), axis=None, initial=0.5))
     rest = [*[0.0] * (1 + abducts), round(min(max(0.75, low + 0.05), high - 0.05), 3)]
-    origin = f"{GUESSED}stands with legs straight down"
+    origin = f"{GUESS_PREFIX}stands with legs straight down"
     lows, highs = [-abduction, -1.0, low][-len(rest) :], [abduction, 1.0, high][-len(rest) :]
     if (standing := standing_pose(robot)) is not None:
         source, pose = standing
@@ -89,14 +89,14 @@ def actuator(robot: ImportedRobot) -> list[str]:
         if real.all():
             return line(key, numbers, f"{rule.unit}, {file}")
         some = "" if not real.any() else f" for {_names(robot, ~real)}, else {file}"
-        return line(key, numbers, f"{GUESSED}{rule.text}{why}{some} ({rule.unit})")
+        return line(key, numbers, f"{GUESS_PREFIX}{rule.text}{why}{some} ({rule.unit})")
 
     has_kp, has_kd = np.isfinite(robot.kp), np.isfinite(robot.kd)
     kp = np.where(has_kp, robot.kp, rules["kp"].value)
     kd_rule = damping_rule(float(kp.mean()), length)
     stiffness = mass * GRAVITY * length
-    real_torque = (robot.torque > 0) & (robot.torque < PLACEHOLDER_TORQUE * stiffness)
-    real_speed = (robot.speed > 0) & (robot.speed < PLACEHOLDER_SPEED)
+    real_torque = (robot.torque > 0) & (robot.torque < MIN_PLACEHOLDER_TORQUE * stiffness)
+    real_speed = (robot.speed > 0) & (robot.speed < MIN_PLACEHOLDER_SPEED)
     speed = np.where(real_speed, robot.speed, rules["speed_limit"].value)
     why_speed = explain_speeds(robot.speed[~real_speed]) if not real_speed.all() else ""
     return [
@@ -104,7 +104,7 @@ def actuator(robot: ImportedRobot) -> list[str]:
         stated("kd", robot.kd, has_kd, kd_rule),
         stated("torque_limit", robot.torque, real_torque, rules["torque_limit"], "; the file has no real limit"),
         stated("speed_limit", robot.speed, real_speed, rules["speed_limit"], f"; {why_speed}"),
-        line("full_torque_speed", 0.5 * speed, f"{GUESSED}half of the speed limit (rad/s)"),
+        line("full_torque_speed", 0.5 * speed, f"{GUESS_PREFIX}half of the speed limit (rad/s)"),
         stated("rotor_inertia", robot.rotor_inertia, robot.rotor_inertia > 0, rules["rotor_inertia"]),
         line("friction", robot.friction, f"N m, Coulomb, {_friction_origin(robot, robot.friction)}"),
         line("viscous_friction", robot.damping, f"N m s/rad, {_friction_origin(robot, robot.damping)}"),

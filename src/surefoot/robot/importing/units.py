@@ -9,11 +9,11 @@ import numpy as np
 
 from surefoot.arrays import Array
 
-PLACEHOLDER_SPEED = 100.0
+MIN_PLACEHOLDER_SPEED = 100.0
 """A speed limit [rad/s] from which on it is a placeholder."""
-_USUAL_SPEEDS = (3.0, 80.0)
+_REAL_SPEEDS = (3.0, 80.0)
 """Speed limits [rad/s] that drives of legs have."""
-_UNITS = {"rpm": math.tau / 60, "degrees per second": math.pi / 180}
+_SPEED_UNITS = {"rpm": math.tau / 60, "degrees per second": math.pi / 180}
 """Units that speed limits are mistaken for, in rad/s."""
 _MAX_RADIANS = 4 * math.pi
 """Greatest limit of an angle that is read as radians."""
@@ -23,11 +23,11 @@ _DENSITIES = (10.0, 5000.0)
 """Mass over the cube of the legs' length [kg/m3] of robots with legs; 60 to 400 in those that are known."""
 _LENGTHS = {"mm": 1e-3}
 _MASSES = {"g": 1e-3}
-_OVERSIZE = 25.0
+_MAX_SIZE_RATIO = 25.0
 """Size of shapes, over the length of the upper links, from which they are in another unit."""
 _MIN_RANGE = 0.15
 """Range [rad] of the widest hinge below which no leg can step."""
-_ROUND = (100.0, 200.0, 500.0, 1000.0, 10000.0, 100000.0)
+_PLACEHOLDER_SPEEDS = (100.0, 200.0, 500.0, 1000.0, 10000.0, 100000.0)
 """Speeds that are written where nobody knew one."""
 
 
@@ -40,8 +40,8 @@ def explain_speeds(speeds: Array) -> str:
     text = f"the file has {_span(low, high)} rad/s, which no joint reaches"
     units = [
         f"if these are {unit}, it is {_span(low * size, high * size)} rad/s"
-        for unit, size in _UNITS.items()
-        if _USUAL_SPEEDS[0] <= low * size and high * size <= _USUAL_SPEEDS[1] and low not in _ROUND
+        for unit, size in _SPEED_UNITS.items()
+        if _REAL_SPEEDS[0] <= low * size and high * size <= _REAL_SPEEDS[1] and low not in _PLACEHOLDER_SPEEDS
     ]
     return "; ".join([text, *units])
 
@@ -107,7 +107,7 @@ def explain_meshes(upper: float, lower: float, box: float) -> str | None:
         box: half of the longest side of the box around the base's shapes [m].
     """
     for part, size in (("the last links", lower), ("the base", box)):
-        if size > _OVERSIZE * upper:
+        if size > _MAX_SIZE_RATIO * upper:
             return (
                 f"the shapes of {part} are {size:.3g} m long, and its upper links {upper:.3g} m; meshes in mm need "
                 'scale="0.001 0.001 0.001"'

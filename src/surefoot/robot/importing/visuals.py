@@ -21,7 +21,7 @@ from surefoot.robot.importing.named_files import MAX_MESH_BYTES
 from surefoot.robot.urdf_file import read_colors, read_frame, read_material, read_numbers, read_shape
 from surefoot.rotations import quat_matrix
 
-TRIANGLES = 24_000
+TARGET_TRIANGLES = 24_000
 """Triangles of a robot that are kept, about."""
 _SOLIDS = {
     mjtGeom.mjGEOM_BOX: "box",
@@ -32,7 +32,7 @@ _SOLIDS = {
 }
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
 """Colour of MuJoCo's geoms that have none of their own: a material's counts then."""
-_SHOWN_GROUPS = 3
+_VISIBLE_GROUPS = 3
 """Groups of geoms that MuJoCo's viewer shows."""
 
 
@@ -49,12 +49,12 @@ class Visual(NamedTuple):
 
 
 def decimate_visuals(visuals: Sequence[Visual]) -> list[Visual]:
-    """Return visuals of about `TRIANGLES` in all; a mesh that is there several times is decimated once."""
+    """Return visuals of about `TARGET_TRIANGLES` in all; a mesh that is there several times is decimated once."""
     uses: dict[Surface, list[Visual]] = {}
     for visual in visuals:
         uses.setdefault(visual.surface, []).append(visual)
     sizes = [np.cbrt(abs(np.linalg.det(items[0].frame[:3, :3]))) for items in uses.values()]
-    reduced = decimate(list(uses), sizes, list(map(len, uses.values())), TRIANGLES)
+    reduced = decimate(list(uses), sizes, list(map(len, uses.values())), TARGET_TRIANGLES)
     surfaces = dict(zip(uses, reduced, strict=True))
     return [visual._replace(surface=surfaces[visual.surface]) for visual in visuals]
 
@@ -117,7 +117,7 @@ def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
         note_problems("not drawn", [str(error).removeprefix(f"{path}: ")], notes)
         return []
     part, mesh_geoms = model.body_weldid[model.geom_bodyid], model.geom_type == mjtGeom.mjGEOM_MESH
-    shown = model.geom_group < _SHOWN_GROUPS
+    shown = model.geom_group < _VISIBLE_GROUPS
     decor = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
     shown |= ~np.isin(part, part[shown & mesh_geoms])
     shown = np.where(np.isin(part, part[decor & mesh_geoms]), decor, shown)

@@ -14,9 +14,9 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, check_name, describe_os_errors
 from surefoot.files import atomic_write
-from surefoot.robot.appearance import LOOKS, Appearance, VisualPart, shape_part, visual_shapes
+from surefoot.robot.appearance import VISUALS_FILE, Appearance, VisualPart, shape_part, visual_shapes
 from surefoot.robot.importing.imported import KNEE_SIGNS, LEGS, ImportedRobot, Knees
-from surefoot.robot.importing.rules import GUESSED, WARNING, one_line
+from surefoot.robot.importing.rules import GUESS_PREFIX, WARNING_PREFIX, one_line
 from surefoot.robot.importing.sheet_numbers import actuator, leg_space, motor_order
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.sheet import Leg
@@ -25,7 +25,7 @@ from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import rpy_matrix
 
 URDF = "robot.urdf"
-_GUESSED = f"  # {GUESSED}"
+_GUESS_COMMENT = f"  # {GUESS_PREFIX}"
 _NEWLINE = "\n"
 
 
@@ -53,18 +53,18 @@ def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | No
     urdf = _urdf(robot)
     _write(folder / URDF, format_urdf(urdf, name))
     if robot.parts:
-        Appearance((*robot.parts, *_substitutes(robot, urdf))).save(folder / LOOKS)
+        Appearance((*robot.parts, *_substitutes(robot, urdf))).save(folder / VISUALS_FILE)
     _write(folder / "robot.toml", sheet)
-    guesses = [line.replace(_GUESSED, ": ") for line in sheet.splitlines() if _GUESSED in line]
+    guesses = [line.replace(_GUESS_COMMENT, ": ") for line in sheet.splitlines() if _GUESS_COMMENT in line]
     return list(dict.fromkeys([*robot.notes, *guesses]))
 
 
 def set_servo_step(folder: Path, step: float) -> str:
     """Write a shorter physics step [s] to the sheet of a robot that was just imported; return the guess as a line."""
-    line = f"servo_step = {step:g}{_GUESSED}s, the longest that servos, friction and feet allow"
+    line = f"servo_step = {step:g}{_GUESS_COMMENT}s, the longest that servos, friction and feet allow"
     path = folder / "robot.toml"
     _write(path, re.sub("(?m)^servo_step = .*", line, path.read_text(encoding="utf-8")))
-    return line.replace(_GUESSED, ": ")
+    return line.replace(_GUESS_COMMENT, ": ")
 
 
 def _write(path: Path, text: str) -> None:
@@ -75,7 +75,7 @@ def _write(path: Path, text: str) -> None:
 def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> str:
     """Return the text of a `robot.toml`."""
     guess, reason, uncertain = robot.guess_knees()
-    comment = f"{_GUESSED}{reason}" if uncertain and knees is None else ""
+    comment = f"{_GUESS_COMMENT}{reason}" if uncertain and knees is None else ""
     legs = [
         f"""
 [legs.{leg}]
@@ -87,11 +87,11 @@ knee = "{"forward" if sign > 0 else "backward"}"{comment}"""
     return f"""\
 # {name}: made from {one_line(robot.path.name)}, whose {robot.forward} is forward. SI units, radians.
 # Lines with 'guessed' are not in that file: replace them by the robot's own numbers.
-{"".join(f"{WARNING}{one_line(line)}{_NEWLINE}" for line in robot.warnings)}
+{"".join(f"{WARNING_PREFIX}{one_line(line)}{_NEWLINE}" for line in robot.warnings)}
 name = "{name}"
 urdf = "robot.urdf"
 base = "base"
-{f'looks = "{LOOKS}"' if robot.parts else ""}
+{f'looks = "{VISUALS_FILE}"' if robot.parts else ""}
 # In the order of commands and readings; joint angle in the URDF = sign * motor angle.
 [motors]
 {motor_order(robot)}
@@ -110,13 +110,13 @@ kind = "joint"
 {_NEWLINE.join(actuator(robot))}
 
 [timing]
-servo_step = {0.001 if robot.mass < 5 else 0.002}{_GUESSED}s, of the actuators' controllers
-control_step = 0.01{_GUESSED}s, between two commands of a policy
-servo_latency = 0.002{_GUESSED}s, age of what the actuators' controllers see
-control_latency = 0.01{_GUESSED}s, age of what a policy sees
+servo_step = {0.001 if robot.mass < 5 else 0.002}{_GUESS_COMMENT}s, of the actuators' controllers
+control_step = 0.01{_GUESS_COMMENT}s, between two commands of a policy
+servo_latency = 0.002{_GUESS_COMMENT}s, age of what the actuators' controllers see
+control_latency = 0.01{_GUESS_COMMENT}s, age of what a policy sees
 
 [contact]
-friction = 0.8{_GUESSED}rubber on a floor
+friction = 0.8{_GUESS_COMMENT}rubber on a floor
 """
 
 
