@@ -1,10 +1,10 @@
-"""Which terms of friction pay: errors of held-out logs with each of them [rad], on a Pupper's logs and on a Go2's.
+"""Benefit of each friction term: errors on held-out logs [rad], for logs of a Pupper and of a Go2.
 
     python benchmarks/friction_terms.py --go2 air.npz --rows Coulomb "and presliding"
     python benchmarks/friction_terms.py --pupper
 
-A Go2's log is a trace of `surefoot identify import`, of a robot that hung, with its gains in it. Each half of it is
-predicted by a fit to the other half. Each of a Pupper's logs is predicted by a fit to the other two.
+The Go2's log is a trace of `surefoot identify import` of a suspended robot, including its gains. Each half is predicted
+by a fit to the other half. Each of the Pupper's logs is predicted by a fit to the other two.
 """
 
 from __future__ import annotations
@@ -48,13 +48,13 @@ ROWS: dict[str, tuple[str, ...]] = {
     ),
     "and presliding": ("motor_viscous_friction", "motor_friction", "friction_ratio", "viscous_ratio", "presliding"),
 }
-"""Terms of friction that are fitted; the others are 0, or 1 where they are ratios."""
+"""Friction terms that are fitted; the others are 0, or 1 if they are ratios."""
 
 
 def held_out_error(
     robot: RobotDescription, terms: tuple[str, ...], fitted: list[RecordedMotion], held: RecordedMotion
 ) -> float:
-    """Return the error of a held-out log [rad] with friction of some terms."""
+    """Return the error on a held-out log [rad] with some of the friction terms."""
     rack = all(motion.rack for motion in fitted)
     off = {name: 0.0 for name in FRICTION if name not in terms and not name.endswith("ratio")}
     prior = PhysicalParams.nominal(robot).with_values(robot, **off, **held.gains)
@@ -69,7 +69,7 @@ def held_out_error(
 def main() -> None:
     """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--go2", type=Path, help="trace of a Go2 that hung")
+    parser.add_argument("--go2", type=Path, help="trace of a suspended Go2")
     parser.add_argument("--pupper", action="store_true")
     parser.add_argument("--rows", nargs="*", choices=[[], *ROWS], default=[])
     parser.add_argument("--out", type=Path, default=Path("results/identification/friction_terms.csv"))

@@ -2,7 +2,7 @@
 
     python examples/open_loop.py trot --out results/open_loop.csv
 
-The paper's robot sat down at once with its reference gait alone; see results/open-loop/README.md.
+The paper's robot sat down immediately with only its reference gait; see results/open-loop/README.md.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ class Command:
     """Run a task's reference without feedback."""
 
     task: Annotated[str, tyro.conf.Positional] = "trot"
-    """A preset, or a task's YAML file."""
+    """Name of a preset, or a task's YAML file."""
     worlds: tuple[str, ...] = tuple(WORLDS)
     """Worlds to run in."""
     episodes: int = 20
-    """Episodes in each; in a world with robots of its own one on each of them."""
+    """Episodes per world; in an ensemble of robots, one per robot."""
     seed: int = 1
-    """The one seed."""
+    """Seed of all random numbers."""
     out: Path = Path("open_loop.csv")
     """Table to write."""
 

@@ -1,4 +1,4 @@
-"""Take the pictures of surefoot's pages with a real browser: PYTHONPATH=tests python tools/browser_pictures.py."""
+"""Take screenshots of surefoot's pages with a real browser: PYTHONPATH=tests python tools/browser_pictures.py."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from chromium import hold_stick, running_browser
 FOLDER = Path(__file__).resolve().parents[1] / "docs"
 SUREFOOT = (sys.executable, "-m", "surefoot")
 WIDE = {"width": 1280, "height": 800}
-LOADING = 4
-"""Pictures, 5 s apart, while a browser without graphics hardware loads the stairs: unseen pages do not load them."""
+LOADING = 20_000
+"""Time [ms] for a browser without graphics hardware to load the stairs."""
 
 
 @contextmanager
 def running(*words: str) -> Iterator[str]:
-    """Run a command; give what its first line says behind the last blank, an address or a port."""
+    """Run a command; yield the address or port in its first line of output."""
     process = subprocess.Popen([*SUREFOOT, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     assert process.stdout is not None
     try:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from surefoot.api.episodes import standing_note, summary_rows
-from surefoot.evaluation.footfalls import FEET, STANDS
+from surefoot.evaluation.footfalls import FEET, STANDING_REASON
 
 SUMMARY = {
     "episodes": 2,
@@ -13,7 +13,7 @@ SUMMARY = {
     **dict.fromkeys(("speed_std", "return_std"), 0.0),
     "cost_of_transport_mean": None,
     "gait": "other",
-    "gait_reason": STANDS,
+    "gait_reason": STANDING_REASON,
     "duty_factor": dict.fromkeys(FEET, 1.0),
     "phases": dict.fromkeys(FEET),
     "saturation": {"hip": 0.02, "knee": 0.31},

@@ -107,7 +107,7 @@ def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     assert_rejected(
         surefoot("study", "tiny.yaml", cwd=tmp_path),
         "surefoot: error: runs/tiny/plain/seed_0: was trained with task.max_steps 40, and the study asks for 41; move "
-        "the folder away to train it anew, give another --out, or change the study back\n",
+        "the folder away to train it again, choose another --out, or change the study back\n",
     )
 
 
@@ -301,7 +301,7 @@ def test_a_study_of_the_reality_gap(
     assert main(["study", "gaps.yaml"]) == 0
     output = capsys.readouterr().out
     assert "all 2 trainings are finished" in output
-    assert "return at home" not in output
+    assert "return in training simulator" not in output
     assert (out / "episodes.csv").read_text() == before
 
 

@@ -54,7 +54,7 @@ def main(argv: list[str]) -> int:
         raise SurefootError(f"--conditions are {named}; choose from {choices(CONDITIONS)}, each at most once")
     from surefoot.api.evaluation import compare_policies
     from surefoot.api.policies import load_policies
-    from surefoot.evaluation.policy_table import common_commands, comparison_conditions, texts
+    from surefoot.evaluation.policy_table import common_commands, comparison_conditions, format_rows
     from surefoot.robot.randomization import load_ranges
     from surefoot.tables import plain_rows, print_table, write_csv
     from surefoot.world.registry import find_world
@@ -79,7 +79,7 @@ def main(argv: list[str]) -> int:
         print_json({"robot": robot.name, "policies": plain_rows(table), "files": [str(file) for file in files]})
         return 0
     for condition in chosen:
-        print_table(texts(table, condition.name), f"{condition.name}: {condition.meaning}, {condition.world}")
+        print_table(format_rows(table, condition.name), f"{condition.name}: {condition.meaning}, {condition.world}")
     for file in files:
         print(f"wrote {file}")
     return 0

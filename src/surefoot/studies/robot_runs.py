@@ -1,4 +1,4 @@
-"""The evaluation of policies on hidden robots: runs in the policy's own simulator, and on each robot."""
+"""Evaluation of policies on hidden robots: runs in the training simulator, and on each robot."""
 
 from __future__ import annotations
 
@@ -22,15 +22,16 @@ from surefoot.task.config import TaskConfig
 NAME = "robot"
 """Name of the evaluation."""
 HOME = "mujoco"
+"""Name of the training simulator's world."""
 
 
 def robot_kind(robots: HiddenRobots, seeds: Sequence[int], folder: Path) -> EvaluationKind:
     """Return the evaluation of a policy on hidden robots.
 
     Args:
-        robots: all of the study.
-        seeds: the robots that the policy runs on: the one that it was trained for, or all.
-        folder: where descriptions of robots with other motors are.
+        robots: the study's hidden robots.
+        seeds: seeds of the robots on which the policy runs: the robot that it was trained for, or all.
+        folder: folder of the robot description with other motors.
     """
 
     def run(evaluation: EvaluationRun) -> tuple[Result, Traces]:
@@ -41,12 +42,12 @@ def robot_kind(robots: HiddenRobots, seeds: Sequence[int], folder: Path) -> Eval
 
     settings: dict[str, Any] = {"home": HOME, "episodes": robots.starts, "seed": GAP_SEED}
     return EvaluationKind(
-        f"{robots.starts} runs in the policy's own simulator, and as many on each robot that it is for, without pushes",
+        f"{robots.starts} runs in the training simulator, and as many on each of the policy's robots, without pushes",
         settings | {"robots": list(seeds), **robots.settings()},
         run,
         _read,
         (
-            ResultMetric("home", "return at home", "m", 2),
+            ResultMetric("home", "return in training simulator", "m", 2),
             ResultMetric("on_robot", "return on the robot", "m", 2),
             ResultMetric("falls", "falls on the robot", "%", 0),
         ),
@@ -54,7 +55,7 @@ def robot_kind(robots: HiddenRobots, seeds: Sequence[int], folder: Path) -> Eval
 
 
 def robot_task(task: TaskConfig, robots: HiddenRobots, seed: int, folder: Path) -> TaskConfig:
-    """Return a policy's task on a hidden robot: the robot's parameters, and the policy's control step and gains."""
+    """Return a policy's task on a hidden robot: the robot's parameters with the policy's control step and gains."""
     robot = RobotDescription.load(task.robot)
     own = param_values(task.nominal(robot), CONTROLLER_PARAMETERS)
     params = {**param_values(robots.params(seed, folder), PhysicalParams.names(robot)), **own}

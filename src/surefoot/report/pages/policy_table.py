@@ -10,7 +10,7 @@ import pandas as pd
 
 from surefoot import __version__
 from surefoot.evaluation.conditions import Condition
-from surefoot.evaluation.policy_table import texts
+from surefoot.evaluation.policy_table import format_rows
 from surefoot.files import atomic_write
 from surefoot.report.pages import html
 from surefoot.robot.commands import COMMANDS
@@ -49,7 +49,7 @@ def write_page(
         f"mean heat. Results from simulation, not from a robot. surefoot {escape(__version__)}.</p>",
     ]
     for condition in conditions:
-        rows = texts(table, condition.name)
+        rows = format_rows(table, condition.name)
         if not rows:
             continue
         kinds = "t" + "n" * (len(rows[0]) - 1)
