@@ -77,8 +77,10 @@ def main() -> None:
         changed = {key: value if len(value) > 1 else value[0] for key, value in params.items()}
         task = replace(task, params={**task.params, **changed})
         diagnosis = diagnose(policy, robot, task, seed=number, threads=options.threads)
-        explained = diagnosis.explained
-        result = "false mistake" if diagnosis.is_confirmed else "hint" if diagnosis.mistake is not None else "left alone"
+        explained = diagnosis.explaining_variant
+        result = (
+            "false mistake" if diagnosis.is_confirmed else "hint" if diagnosis.mistake is not None else "left alone"
+        )
         row = {
             "seed": options.seed,
             "number": number,

@@ -17,7 +17,7 @@ from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_engine import MujocoEngine
 from surefoot.world.mujoco_model import build_spec
-from surefoot.world.terrain import HALF_SIDE, START, TREAD_DEPTH
+from surefoot.world.terrain import HALF_SIDE, START_HALF_SIDE, TREAD_DEPTH
 
 DEEP = 1.0
 """Depth of the boxes below the floor [m]."""
@@ -56,8 +56,8 @@ class BoxEngine(MujocoEngine):
 def _boxes(ground: Ground) -> list[tuple[list[float], list[float]]]:
     """Return centers and half sizes [m] of the boxes of upward stairs: four per step, around the level center."""
     boxes = []
-    for step in range(0 if ground.is_flat else round((HALF_SIDE - START) / TREAD_DEPTH)):
-        near = START + step * TREAD_DEPTH
+    for step in range(0 if ground.is_flat else round((HALF_SIDE - START_HALF_SIDE) / TREAD_DEPTH)):
+        near = START_HALF_SIDE + step * TREAD_DEPTH
         top = float(ground.height(np.array([near + 0.5 * TREAD_DEPTH, 0.0])))
         middle, height = 0.5 * (top - DEEP), 0.5 * (top + DEEP)
         place, width, reach = near + 0.5 * TREAD_DEPTH, 0.5 * TREAD_DEPTH, near + TREAD_DEPTH

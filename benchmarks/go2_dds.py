@@ -11,8 +11,8 @@ when they were written, from the first command to the last that was not damping;
 wakes up every 2 ms at the same time. Loads are in percent of one core while the policy runs.
 
 A fault begins while the robot stands up, while the policy runs, or while it sits. `damped_ms` is the time after it at
-which the robot received a damping command, with no later command that has a gain. `loop`, `supervisor` and `watcher` are
-killed; with `-hangs` they are suspended for a second.
+which the robot received a damping command, with no later command that has a gain. `loop`, `supervisor` and `watchdog`
+are killed; with `-hangs` they are suspended for a second.
 """
 
 from __future__ import annotations

@@ -214,7 +214,9 @@ def test_group_figure_shows_intervals_and_seeds(
     widths = [bar.get_width() for bar in first.patches]
     assert widths == pytest.approx([study.interval(group, study.primary).mean for group in study.groups])
     dots = [line.get_xdata() for line in first.lines if line.get_marker() == "o"]
-    assert [list(values) for values in dots] == [list(study.select_group(group).nominal_return) for group in study.groups]
+    assert [list(values) for values in dots] == [
+        list(study.select_group(group).nominal_return) for group in study.groups
+    ]
 
 
 @pytest.mark.parametrize("steps", [1, 200])

@@ -45,10 +45,14 @@ def print_summaries(summaries: dict[str, dict[str, Any]], reward: Mapping[str, f
 
 def standing_note(summary: dict[str, Any], reward: Mapping[str, float]) -> str | None:
     """Return a note that explains, by its reward terms, why a policy only stands; None if it does not, or should."""
-    from surefoot.evaluation.footfalls import STANDS
+    from surefoot.evaluation.footfalls import STANDING_REASON
 
     error = summary.get("rmse", {}).get("forward")
-    if summary.get("gait_reason") != STANDS or not reward or (error is not None and error < _MIN_STANDING_ERROR):
+    if (
+        summary.get("gait_reason") != STANDING_REASON
+        or not reward
+        or (error is not None and error < _MIN_STANDING_ERROR)
+    ):
         return None
     terms = [f"{name} {weight:g}" for name, weight in sorted(reward.items(), key=lambda one: -one[1]) if weight]
     return (
@@ -141,12 +145,12 @@ def _hottest_text(summary: dict[str, Any]) -> str:
 
 def _gait_text(summary: dict[str, Any]) -> str:
     """Return the name of a gait, or the reason why it has none."""
-    from surefoot.evaluation.footfalls import STANDS
+    from surefoot.evaluation.footfalls import STANDING_REASON
 
     reason = summary.get("gait_reason", "")
     if summary["gait"] != "other" or not reason:
         return str(summary["gait"])
-    return f"{'stands' if reason == STANDS else 'other'}: {reason}"
+    return f"{'stands' if reason == STANDING_REASON else 'other'}: {reason}"
 
 
 def film(robot: RobotDescription, trace: EpisodeTrace, path: Path, ground: Ground | None = None) -> Path:
@@ -170,13 +174,13 @@ def captions(trace: EpisodeTrace) -> list[str]:
     import numpy as np
 
     from surefoot.evaluation.statistics import decimal
-    from surefoot.evaluation.tracking import motion
+    from surefoot.evaluation.tracking import measured_velocity
 
     half, steered = max(round(0.5 / trace.meta["control_step"]), 1), bool(np.isfinite(trace.command).any())
     terrain = trace.meta["terrain"]
     place = str(trace.meta["world"]) + ("" if terrain == "flat" else f" on {terrain}")
     lines = []
-    velocity = motion(trace) if steered else np.zeros((trace.num_steps, 3))
+    velocity = measured_velocity(trace) if steered else np.zeros((trace.num_steps, 3))
     for step, time in enumerate(trace.time):
         start = max(step + 1 - half, 0)
         moved = trace.base_position_world[step + 1, 0] - trace.base_position_world[start, 0]

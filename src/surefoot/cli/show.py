@@ -205,7 +205,8 @@ def _film_run(shown: list[ShownTrace], out: Path, what: str) -> int:
     if len(shown) > 1:
         raise SurefootError(f"{len(shown)} runs are given; a video shows only one, a page (.html) shows all of them")
     _note(what)
-    print(f"wrote {film(shown[0].robot, shown[0].trace, out, ground_of(shown[0].trace, shown[0].map_file))}")
+    run = shown[0]
+    print(f"wrote {film(run.robot, run.trace, out, ground_for_trace(run.trace, run.map_file))}")
     return 0
 
 

@@ -19,7 +19,7 @@ from surefoot.configuration import Within
 from surefoot.errors import prefix_errors
 from surefoot.learn.config import Steps
 from surefoot.studies.search import Search, SearchConfig, check_search_folder, make_config
-from surefoot.studies.search_space import put
+from surefoot.studies.search_space import with_values
 from surefoot.studies.workers import check_address
 
 
@@ -99,7 +99,7 @@ def _check(config: SearchConfig) -> None:
     for end in (0, -1):
         values = {name: one.samples[end] for name, one in config.space.items()}
         with prefix_errors("space"):
-            check_config(put(config.train, config.space, values))
+            check_config(with_values(config.train, config.space, values))
 
 
 def _train(search: Search, command: SearchCommand, console: Console) -> bool:

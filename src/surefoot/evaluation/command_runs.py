@@ -213,7 +213,7 @@ class DrivenRobot:
             values, nominal = (getattr(one, name)[0] for one in (self.env.world.params, self.env.nominal))
             parts = {"": (nominal.mean(), values.mean())}
             if declared.per not in ("", "motors"):
-                parts = dict(zip(declared.parts(()), zip(nominal, values, strict=True), strict=True))
+                parts = dict(zip(declared.element_names(()), zip(nominal, values, strict=True), strict=True))
             parameters += [
                 LiveParameter(
                     f"{name}.{part}".removesuffix("."),

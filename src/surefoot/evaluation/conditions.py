@@ -147,7 +147,9 @@ def _apply_file(task: TaskConfig, path: Path, estimated_gains: bool) -> TaskConf
             "it belongs to the policy, not to the robot: leave it out of the file"
         )
     estimated = () if estimated_gains else file.tables.get("identified_by", ())
-    values = {name: value for name, value in file.values.items() if name not in CONTROLLER_PARAMETERS or name not in estimated}
+    values = {
+        name: value for name, value in file.values.items() if name not in CONTROLLER_PARAMETERS or name not in estimated
+    }
     own = {name: task.params[name] for name in CONTROLLER_PARAMETERS if name in task.params and name not in values}
     return replace(task, params={**values, **own}, params_source=file.source)
 

@@ -10,8 +10,8 @@ from surefoot.configuration import Seed, Within, read_toml, to_mapping
 from surefoot.errors import SurefootError, choices, suggest
 from surefoot.files import atomic_write
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.archive import SHEET, copy_robot
-from surefoot.robot.params import CONTROLLER_PARAMETERS, GROUPS, PARAMETERS
+from surefoot.robot.archive import DATA_SHEET, copy_robot
+from surefoot.robot.params import CONTROLLER_PARAMETERS, PARAMETER_GROUPS, PARAMETERS
 from surefoot.robot.params_file import ParamsFile, ParamValue, read_params
 from surefoot.robot.randomization import Ranges, check_ranges, draw_hidden
 
@@ -85,7 +85,7 @@ class HiddenRobots:
         text = tomli_w.dumps({**data, "actuator": {**data["actuator"], **self.other_motors.actuator}})
         if not (folder / DATA_SHEET).is_file() or (folder / DATA_SHEET).read_text(encoding="utf-8") != text:
             copy_robot(source, folder)
-            atomic_write(folder / SHEET, text)
+            atomic_write(folder / DATA_SHEET, text)
         RobotDescription.load(folder)  # raises if the motors are invalid
         return str(folder.absolute())
 

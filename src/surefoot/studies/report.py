@@ -68,7 +68,7 @@ def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str])
             for row, group in enumerate(groups):
                 values = comparison.select_group(group)[metric.name]
                 _group_bar(ax, row, comparison.interval(group, metric), values, f"C{row}")
-            ax.set_title(capital(metric.heading))
+            ax.set_title(capitalize_first(metric.heading))
             ax.set_ylim(len(groups) - 0.4, -0.6)
             place_labels(
                 ax, [comparison.study.label(group) if ax is axes[0] else "" for group in groups], vertical=True

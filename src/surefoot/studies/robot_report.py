@@ -12,7 +12,7 @@ import pandas as pd
 from surefoot.evaluation.statistics import CONFIDENCE, decimal
 from surefoot.files import atomic_write
 from surefoot.report.figures.robots import GroupOnRobots, robots_figure
-from surefoot.report.figures.style import capital
+from surefoot.report.figures.style import capitalize_first
 from surefoot.studies.hidden_robots import DATA_SHEET_MOTORS, OTHER_MOTORS, robot_name
 from surefoot.studies.questions import LEVEL, METRICS, Answer, ComparedPair
 from surefoot.studies.report import image, readme

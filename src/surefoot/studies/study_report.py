@@ -17,7 +17,7 @@ from surefoot.report.figures.gap import gap_figure
 from surefoot.report.figures.learning import learning_curves
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram
-from surefoot.report.figures.style import capital
+from surefoot.report.figures.style import capitalize_first
 from surefoot.studies.comparison import CONTENTS, FAR_DISTANCE, Comparison, read_tables, study_tables, write_tables
 from surefoot.studies.evaluations import EVALUATIONS, ResultMetric, load_gait_trace
 from surefoot.studies.report import group_figure, image, readme, stride_cells
@@ -260,7 +260,7 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame]) -> list[st
     for name, names in comparison.sets().items():
         finding = comparison.finding(comparison.study.bars.get(name, names))
         image_text = image("Return of all policies in training simulator and target world", f"gap_{name}.png")
-        lines += [f"### {capital(name)}", image_text]
+        lines += [f"### {capitalize_first(name)}", image_text]
         lines += [f"In the paper: {finding}"] if finding else []
         lines.append(_gap_table(groups[(groups.policies == "all") & groups.group.isin(names)]))
     chosen = [f"{label(group)} {', '.join(map(str, best.select_group(group).seed))}" for group in best.groups]

@@ -59,7 +59,7 @@ class FeedbackConfig:
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Configuration of a task. Fields marked as `ContractField` are the policy's interface, and part of its contract."""
+    """Configuration of a task. Fields marked `ContractField` are the policy's interface, and part of its contract."""
 
     name: str = "gait"
     """Name of the task, used in the names of run folders."""

@@ -33,7 +33,7 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
             check_takes_params(world)
         return
     kinds = evaluation_names(study.evaluate)
-    metrics = [figure.name for kind in kinds for figure in EVALUATIONS[kind].figures]
+    metrics = [figure.name for kind in kinds for figure in EVALUATIONS[kind].metrics]
     if study.primary not in metrics:
         raise SurefootError(
             f"primary: '{study.primary}' is not a metric of its evaluations; {suggest(study.primary, metrics)}"
@@ -74,7 +74,7 @@ def evaluate_runs(study: StudyConfig, runs: list[Training], root: Path, threads:
             with console.status(f"evaluating {run.name}: {name} ({number} of {len(todo)})"):
                 values = kind.read_metrics(evaluate(run.policy, name, threads, kind))
             metrics = ", ".join(
-                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in kind.figures
+                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in kind.metrics
             )
             seconds = time.perf_counter() - start
             console.print(

@@ -141,8 +141,9 @@ class InverseDynamics:
         for leg in range(legs):
             matrix[:, :2, 2 + 2 * leg : 4 + 2 * leg] = -(to_plane @ force_maps[:, leg, :3])
             matrix[:, 2:, 2 + 2 * leg : 4 + 2 * leg] = -force_maps[:, leg, 6:]
-        constants = [_apply(to_plane, known_forces[:, :3]), known_forces[:, 6:] - motion.motor_torque]
-        solution: Array = np.linalg.solve(matrix, -np.concatenate(constants, axis=1)[..., None])[..., 0]
+        motors_balance = known_forces[:, 6:] - motion.motor_torque
+        constants = np.concatenate([_apply(to_plane, known_forces[:, :3]), motors_balance], axis=1)
+        solution = np.linalg.solve(matrix, -constants[..., None])[..., 0]
         forces = solution[:, 2:].reshape(count, legs, 2)
         total = known_forces + _apply(reduced[:, :, :3], _apply(plane, solution[:, :2]))
         foot_moment = np.einsum("tlk,tlk->t", force_maps[:, :, 4], forces)

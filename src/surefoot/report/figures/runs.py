@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls
 from surefoot.evaluation.runs import measure_runs
-from surefoot.evaluation.tracking import motion
+from surefoot.evaluation.tracking import measured_velocity
 from surefoot.report.figures.style import (
     BLUE,
     GREEN,
@@ -108,7 +108,7 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
 def _tracking(axes: Sequence[Axes], trace: EpisodeTrace) -> None:
     """Draw forward and lateral velocity and yaw rate with their commands, and the path from above, one panel each."""
     *speeds, path = axes
-    measured = motion(trace)
+    measured = measured_velocity(trace)
     titles = ("Forward velocity (m/s)", "Lateral velocity (m/s)", "Yaw rate (rad/s)")
     for column, (ax, title, color) in enumerate(zip(speeds, titles, (BLUE, ORANGE, GREEN), strict=True)):
         _raw_and_smooth(ax, trace, measured[:, column], color, math.nan, "")

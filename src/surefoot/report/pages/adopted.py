@@ -91,9 +91,9 @@ def _tried(answers: Sequence[TrialResult], count: int) -> str:
     note = (
         f"{count} changes of the configuration, and other robots, were tried, each with one robot per command for some "
         f"commands. The best changes, listed here, were tried again with {FINAL_REPEATS} other robots per command; the "
-        "first is the most likely. A change that leads to unusual values is less likely than its score. Score 1: follows the "
-        f"command exactly; score 0: falls, or errs by {MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s sideways or "
-        f"{MAX_ERROR[2]:g} rad/s."
+        "first is the most likely. A change that leads to unusual values is less likely than its score. Score 1: "
+        f"follows the command exactly; score 0: falls, or errs by {MAX_ERROR[0]:g} m/s forward, {MAX_ERROR[1]:g} m/s "
+        f"sideways or {MAX_ERROR[2]:g} rad/s."
     )
     return f'<p class="quiet">{note}</p><div class="wide"><table>{"".join(rows)}</table></div>'
 

@@ -24,7 +24,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.evaluation.foot_forces import foot_forces
 from surefoot.evaluation.recorded import ground_for_trace
-from surefoot.evaluation.tracking import motion
+from surefoot.evaluation.tracking import measured_velocity
 from surefoot.report.drawing.ground_part import ground_around
 from surefoot.report.drawing.scene import extent, poses
 from surefoot.report.pages.html import document
@@ -154,7 +154,7 @@ def _run(shown: ShownTrace, rate: float, node: str, ground: Ground) -> tuple[dic
     forces = foot_forces(robot, angles, trace.motor_torque)
     forces[np.isfinite(forces[..., 2]) & ((trace.foot_contact < 0.5) | (forces[..., 2] < 0.0))] = 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        speed = motion(trace)
+        speed = measured_velocity(trace)
     speed[~np.isfinite(speed)] = np.nan  # if times repeat
     power = trace.energy / np.diff(trace.time, prepend=0.0).clip(1e-4)
     count = max(round(_MEAN_TIME / float(trace.meta["control_step"])), 1)
