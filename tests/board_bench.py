@@ -71,7 +71,7 @@ class Bench:
         self.host = Decoder(Codec(8))
         self.now = self.number = 0
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)
-        self.order: MotorCommand | None = None
+        self.motor_command: MotorCommand | None = None
         self.sent: list[Packet] = []
         """Messages sent by the robot, oldest first."""
         self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))

@@ -56,7 +56,7 @@ OTHER_SESSION = 8
 PATIENCE = 120.0
 LONG = 60.0
 """Duration of a run that is ended by an event [s]."""
-QUICK = {"FLAT": 0.1, "FOLD": 0.1, "PAUSE": 0.1, "RISE": 0.6, "HOLD": 0.2}
+QUICK = {"LAY_FLAT_TIME": 0.1, "FOLD_TIME": 0.1, "PAUSE_TIME": 0.1, "RISE_TIME": 0.6, "STAND_TIME": 0.2}
 """Times of the phases in which a robot that still sits after power-on can stand up reliably [s]."""
 QUICK_UP = sum(QUICK.values())
 RUNNING = QUICK_UP + 0.3

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from foreign import perceptron
+from third_party_policies import perceptron
 
 from surefoot.adopt.builder import build_policy
 from surefoot.adopt.examination import CorrectedPolicy, require_specification

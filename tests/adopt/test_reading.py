@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import yaml
-from foreign import DATA, DEPLOY, perceptron
+from third_party_policies import DATA, DEPLOY, perceptron
 
 from surefoot.adopt.adoption import adopt
 from surefoot.adopt.formats.common import match_joints, unmeasured_reason

@@ -19,7 +19,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
 
-def edited(path: Path, changes: dict[str, Any]) -> Path:
+def shipped_variants(path: Path, changes: dict[str, Any]) -> Path:
     """Return the trot with a modified contract; keys of tables are written "table.key"."""
 
     def edit(contract: dict[str, Any]) -> None:
@@ -49,13 +49,13 @@ def edited(path: Path, changes: dict[str, Any]) -> Path:
 )
 def test_load_policy_rejects_a_contract_of_another_robot(changes: dict[str, Any], why: str, tmp_path: Path):
     with pytest.raises(SurefootError) as error:
-        load_policy(edited(tmp_path / "edited.onnx", changes), None)
+        load_policy(shipped_variants(tmp_path / "edited.onnx", changes), None)
     assert re.search(re.escape(why) if "(" in why else why, str(error.value))
     assert "\n" not in str(error.value)
 
 
 def test_load_policies_checks_each_policy(tmp_path: Path):
-    policy = edited(tmp_path / "edited.onnx", {"rest": [0.0, 3.0]})
+    policy = shipped_variants(tmp_path / "edited.onnx", {"rest": [0.0, 3.0]})
     with pytest.raises(SurefootError, match="policy 'trot' must not run on minitaur: extension at rest is 3 rad"):
         load_policies([find_policy("gallop"), policy])
 
@@ -63,7 +63,7 @@ def test_load_policies_checks_each_policy(tmp_path: Path):
 def test_policy_keeps_its_control_step_and_gains_on_another_robot(tmp_path: Path):
     folder = tmp_path / "robot"
     shutil.copytree(RobotDescription.load("minitaur").folder, folder)
-    policy = edited(tmp_path / "edited.onnx", {"control_step": 0.008, "servo_kp": 2.0})
+    policy = shipped_variants(tmp_path / "edited.onnx", {"control_step": 0.008, "servo_kp": 2.0})
     _, robot, task = load_policy(policy, str(folder))
     assert robot.folder == folder
     params = task.nominal(robot)

@@ -181,7 +181,7 @@ def test_different_gains_are_written_as_a_range():
 # The data sheet.
 
 
-def edited(change: dict[str, Any], policy: str = "trot") -> Contract:
+def shipped_variants(change: dict[str, Any], policy: str = "trot") -> Contract:
     """Return a policy's contract with values replaced at any depth."""
     data = json.loads(contract_of(policy).to_json())
 
@@ -237,7 +237,7 @@ TROT, COLUMNS = contract_of(), contract_of("gallop").columns
     ],
 )
 def test_a_policy_that_does_not_match_the_data_sheet_is_rejected(policy: str, change: dict[str, Any], message: str):
-    contract = edited(change, policy)
+    contract = shipped_variants(change, policy)
     robot = RobotDescription.load(contract_of(policy).robot)
     with pytest.raises(SurefootError) as error:
         check_policy(contract, robot)
@@ -273,6 +273,6 @@ def test_the_height_map_grid_of_a_policy_must_match_the_robot():
 
 
 def test_the_rate_of_a_policy_may_differ_from_the_data_sheet():
-    contract = edited({"control_step": 0.008})
+    contract = shipped_variants({"control_step": 0.008})
     check_policy(contract, ROBOT)
     assert failures(contract) == {}

@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 import pytest
 from compiled_firmware import compiled, needs_gcc
-from edited import modified_policy
 from processes import Emulator, EmulatorHere, emulators
+from shipped_variants import modified_policy
 
 from surefoot.deploy.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.deploy.poses import sitting_pose

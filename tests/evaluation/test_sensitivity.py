@@ -73,7 +73,7 @@ def trot(max_steps: int = 100, **changes: Any) -> TaskConfig:
     return replace(task, max_steps=max_steps, **changes)
 
 
-def scripted(**attributes: Any) -> Any:
+def scripted_world(**attributes: Any) -> Any:
     return type("World", (Walker,), attributes)
 
 
@@ -113,7 +113,7 @@ def test_a_relative_range_scales_the_values_of_all_motors():
 def test_returns_are_over_the_same_time_in_all_worlds():
     ranges: Ranges = {"control_step": (0.003, 0.020), "contact_friction": (0.5, 1.0)}
     policy = Constant()
-    result = run_sensitivity(policy, trot(), scripted(), ranges=ranges, values=2, episodes=2, duration=0.6)
+    result = run_sensitivity(policy, trot(), scripted_world(), ranges=ranges, values=2, episodes=2, duration=0.6)
     # 0.6 s at 1 m/s and 10 W with w = 0.008 m/J: 0.6 - 0.048, whether in 200 control steps or in 30.
     assert np.allclose(of_row(result, "control_step", "return"), [[0.552] * 2] * 2)
     assert np.allclose(of_row(result, "contact_friction", "return"), [[0.252] * 2, [0.552] * 2])
@@ -127,13 +127,13 @@ def test_returns_are_over_the_same_time_in_all_worlds():
 
 def test_an_episode_has_the_number_of_control_steps_nearest_to_its_duration():
     ranges: Ranges = {"control_step": (0.007, 0.017)}
-    result = run_sensitivity(Constant(), trot(), scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
+    result = run_sensitivity(Constant(), trot(), scripted_world(), ranges=ranges, values=2, episodes=1, duration=0.1)
     # 14 control steps of 7 ms and 6 of 17 ms.
     assert np.allclose(result.tests["return"], np.array([0.098, 0.102]) * 0.92)
 
 
 def test_a_falling_robots_return_counts_up_to_the_fall():
-    world = scripted(fall_time=staticmethod(lambda p: np.where(p.voltage > 15.9, math.inf, 0.3)))
+    world = scripted_world(fall_time=staticmethod(lambda p: np.where(p.voltage > 15.9, math.inf, 0.3)))
     ranges: Ranges = {"voltage": (15.0, 16.0), MASS: (0.8, 1.2)}
     result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=3, duration=0.6)
     assert of_row(result, "voltage", "fell") == [[True] * 3, [False] * 3]
@@ -143,7 +143,7 @@ def test_a_falling_robots_return_counts_up_to_the_fall():
 
 
 def test_divergence_counts_as_a_fall_one_step_earlier():
-    world = scripted(diverge_time=0.3)
+    world = scripted_world(diverge_time=0.3)
     ranges: Ranges = {MASS: (0.8, 1.2)}
     result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=1, duration=0.6)
     assert result.tests.fell.all()
@@ -154,10 +154,10 @@ def test_divergence_counts_as_a_fall_one_step_earlier():
 
 def test_the_duration_defaults_to_the_tasks():
     ranges: Ranges = {"control_step": (0.003, 0.020)}
-    result = run_sensitivity(Constant(), trot(100), scripted(), ranges=ranges, values=2, episodes=1)
+    result = run_sensitivity(Constant(), trot(100), scripted_world(), ranges=ranges, values=2, episodes=1)
     assert np.allclose(result.tests["return"], 0.552)
     task = trot(100, params={"control_step": 0.012})
-    slower = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1)
+    slower = run_sensitivity(Constant(), task, scripted_world(), ranges=ranges, values=2, episodes=1)
     assert np.allclose(slower.tests["return"], 1.104)
     assert slower.nominal_values["control_step"] == 0.012
 
@@ -309,5 +309,5 @@ def test_results_survive_json():
 def test_nominal_values_are_the_tasks():
     ranges: Ranges = {LATENCY: (0.0, 0.04), "motor_strength": (0.8, 1.2), MASS: (0.8, 1.2)}
     task = trot(params={"motor_strength": 0.9})
-    result = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
+    result = run_sensitivity(Constant(), task, scripted_world(), ranges=ranges, values=2, episodes=1, duration=0.1)
     assert result.nominal_values == pytest.approx({LATENCY: 0.02, "motor_strength": 0.9, MASS: 1.0})

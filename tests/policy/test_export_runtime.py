@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import modified_policy
+from shipped_variants import modified_policy
 
 torch = pytest.importorskip("torch")
 onnx = pytest.importorskip("onnx")

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import modified_policy
+from shipped_variants import modified_policy
 
 from surefoot.api.policies import find_policy
 from surefoot.errors import SurefootError

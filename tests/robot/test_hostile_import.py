@@ -27,7 +27,7 @@ from surefoot.world.mujoco_model import build_model
 
 pytestmark = pytest.mark.slow
 
-QUICK = Limits(memory=1 << 30, time=3.0, patience=60.0)
+QUICK = Limits(memory=1 << 30, time=3.0, timeout=60.0)
 BODY = '<body><freejoint/><geom size=".1"/></body>'
 WORLD = f"<worldbody>{BODY}</worldbody>"
 

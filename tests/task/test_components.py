@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from exact_resume import assert_resumes_exactly
 from numpy.typing import NDArray
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.task import components as registry
 from surefoot.task.component import Component, Privileged

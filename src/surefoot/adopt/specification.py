@@ -101,7 +101,7 @@ class PolicySpecification:
     """Minimum and maximum target joint angle [rad]; None: only the joint limits, which always apply."""
     joint_signs: Annotated[tuple[float, ...] | None, Within(-1, 1)] = None
     """1 or -1 for each joint: its positive direction relative to the robot's URDF; defaults to 1."""
-    observation_clip: Annotated[float | None, Within(0, 1e6, above=True)] = None
+    observation_clip: Annotated[float | None, Within(0, 1e6, exclusive=True)] = None
     """Maximum absolute value of an observation after scaling; None: not clipped."""
     history_by: Literal["step", "term"] = "step"
     """Order of an observation with history. step: all terms of one time step, then all terms of the next; term: all

@@ -34,7 +34,7 @@ class PPOConfig:
     symmetry: bool = False
     """Also learn from the mirror image of each sample, for reference gaits that are left-right symmetric. For robots
     whose sides differ by more than 0.5 % of the leg length, mirrored samples are disabled with a note."""
-    init_std: Annotated[float, Within(0, 100, above=True)] = 0.6
+    init_std: Annotated[float, Within(0, 100, exclusive=True)] = 0.6
     """Initial standard deviation of normalized actions (-1 to 1)."""
     final_std: Annotated[float, Within(0, 100)] = 0.0
     """Upper limit of the standard deviation at the end of the run. The limit decreases linearly from init_std. 0: no
@@ -48,28 +48,28 @@ class PPOConfig:
     """Epochs per update."""
     minibatches: Annotated[int, Within(1, 1_000_000)] = 4
     """Minibatches per epoch."""
-    learning_rate: Annotated[float, Within(0, 1, above=True)] = 1e-3
+    learning_rate: Annotated[float, Within(0, 1, exclusive=True)] = 1e-3
     """Adam's learning rate at the start."""
     schedule: Literal["adaptive", "fixed"] = "adaptive"
     """adaptive: the learning rate is adapted to the Kullback-Leibler divergence of updates."""
-    desired_kl: Annotated[float, Within(0, 100, above=True)] = 0.01
+    desired_kl: Annotated[float, Within(0, 100, exclusive=True)] = 0.01
     """Target divergence of the adaptive schedule."""
     gamma: Annotated[float, Within(0, 1)] = 0.99
     """Discount factor per control step."""
     lam: Annotated[float, Within(0, 1)] = 0.95
     """Lambda of the generalized advantage estimate."""
-    clip: Annotated[float, Within(0, 100, above=True)] = 0.2
+    clip: Annotated[float, Within(0, 100, exclusive=True)] = 0.2
     """Clip range of the probability ratio, and of the value."""
     value_coefficient: Annotated[float, Within(0, 1e6)] = 1.0
     """Weight of the value loss."""
     entropy_coefficient: Annotated[float, Within(0, 1e6)] = 0.003
     """Weight of the entropy bonus."""
-    max_grad_norm: Annotated[float, Within(0, 1e6, above=True)] = 1.0
+    max_grad_norm: Annotated[float, Within(0, 1e6, exclusive=True)] = 1.0
     """Maximum norm of gradients."""
     fall_cost: Annotated[float, Within(0, 1e6)] = 0.0
     """Penalty for a fall in learning, in units of the reward, in addition to the lost future reward; 0 in the paper.
     Reported returns do not include it."""
-    reward_scale: Annotated[float, Within(0, 1e6, above=True)] = 50.0
+    reward_scale: Annotated[float, Within(0, 1e6, exclusive=True)] = 50.0
     """Factor on rewards in learning. Reported returns are unscaled."""
 
     def __post_init__(self) -> None:

@@ -31,7 +31,7 @@ class DcMotorData:
     resistance: Positive
     voltage: Positive
     voltage_clip: Positive
-    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, above=True)]
+    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, exclusive=True)]
     kd: _Each
     torque_table_current: tuple[float, ...]
     torque_table_torque: tuple[float, ...]
@@ -62,7 +62,7 @@ class DcMotorData:
 class JointActuatorData:
     """Nominal data of a torque-controlled joint actuator with a PD position controller, all at the joint output."""
 
-    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, above=True)]
+    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, exclusive=True)]
     """Proportional gain [N m/rad]."""
     kd: _Each
     """Derivative gain [N m s/rad]."""

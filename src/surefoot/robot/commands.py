@@ -33,7 +33,7 @@ class CommandLimits:
     """Range of velocities to the left [m/s]; (0, 0) for legs without abduction."""
     yaw_rate: tuple[float, float]
     """Range of yaw rates [rad/s]."""
-    acceleration: Annotated[tuple[float, float, float], Within(0.0, _MAX_COMMAND, above=True)]
+    acceleration: Annotated[tuple[float, float, float], Within(0.0, _MAX_COMMAND, exclusive=True)]
     """Maximum rate of change of each command that the gait follows [m/s^2, m/s^2, rad/s^2]."""
     deadband: Annotated[tuple[float, float, float], Within(0.0, _MAX_COMMAND)]
     """The robot stands still if all commands are within this deadband [m/s, m/s, rad/s]."""

@@ -164,7 +164,7 @@ class DataSheet:
     motors: Motors
     legs: dict[str, Any]
     actuator: dict[str, Any]
-    body_length: Annotated[float | None, Within(0, 1e9, above=True)] = None
+    body_length: Annotated[float | None, Within(0, 1e9, exclusive=True)] = None
     leg_geometry: FiveBar | None = None
     visuals: str | None = None
     loops: tuple[Loop, ...] = ()

@@ -113,7 +113,7 @@ class TuneConfig:
     """Episodes per candidate, from different starts."""
     duration: Annotated[float, Within(0.5, 60)] = 4.0
     """Length of an episode [s]."""
-    sigma: Annotated[float, Within(0, 1, above=True)] = 0.2
+    sigma: Annotated[float, Within(0, 1, exclusive=True)] = 0.2
     """Initial standard deviation, relative to each parameter's range."""
     seed: Seed = 0
     threads: Threads = 0

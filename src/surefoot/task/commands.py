@@ -44,7 +44,7 @@ class CommandConfig:
     relative: bool = False
     """Ranges are in units of sqrt(g l) for speeds and sqrt(g / l) for yaw rates, with the leg length l, instead of m/s
     and rad/s. The square of a relative speed is the Froude number."""
-    acceleration: Annotated[float, Within(0, 100, above=True)] = 0.3
+    acceleration: Annotated[float, Within(0, 100, exclusive=True)] = 0.3
     """Maximum acceleration of the filtered command: of speeds in g, of yaw rates in g / l."""
     heading_gain: Annotated[float, Within(0, 100)] = 0.0
     """Proportional gain of the heading control [rad/s per rad]; 0: no heading control."""

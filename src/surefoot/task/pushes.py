@@ -23,7 +23,7 @@ class PushConfig:
 
     enabled: NoOption[bool] = False
     """Whether robots are pushed."""
-    period: Annotated[float, Within(0, 3600, above=True)] = 1.2
+    period: Annotated[float, Within(0, 3600, exclusive=True)] = 1.2
     """Time between the starts of two pushes [s]. The first push starts after one period."""
     duration: float = 0.06
     """Duration of a push [s]."""

@@ -110,7 +110,7 @@ class TableReferenceConfig(ReferenceConfig):
     """Kind of reference: none, sine, table, foot or follow. Each kind has its own keys."""
     file: str | None = None
     """CSV or NPZ file with columns COORDINATE_LEG, such as swing_front_left."""
-    period: Annotated[float, Within(0, 3600, above=True)] | None = None
+    period: Annotated[float, Within(0, 3600, exclusive=True)] | None = None
     """Period of the table [s]."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
     """The table itself instead of `file`: for each coordinate of leg space, the poses of each leg over time."""

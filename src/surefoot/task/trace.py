@@ -39,7 +39,7 @@ class TraceMeta:
     """Name of the robot."""
     world: str
     """Name of the world: a simulated world, robot, or log."""
-    control_step: Annotated[float, Within(0, 3600, above=True)]
+    control_step: Annotated[float, Within(0, 3600, exclusive=True)]
     """Time between two rows [s]."""
     leg_names: tuple[str, ...]
     """Names of the L legs, in the order of their columns."""
@@ -135,7 +135,7 @@ def run_meta(
     }
 
 
-_optional_column = functools.partial(column, known=False, always_in_file=False)
+_optional_column = functools.partial(column, required=False, always_in_file=False)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -147,8 +147,8 @@ class EpisodeTrace:
     """
 
     time: Array = column("T", "s", "time since the start at which the step's readings were taken: at its end")
-    base_position_world: Array = column("T+1, 3", "m", "position of the base", "world", known=False)
-    base_quat_world: Array = column("T+1, 4", "1", "orientation, unit quaternion w, x, y, z", "world", known=False)
+    base_position_world: Array = column("T+1, 3", "m", "position of the base", "world", required=False)
+    base_quat_world: Array = column("T+1, 4", "1", "orientation, unit quaternion w, x, y, z", "world", required=False)
     roll_pitch_yaw: Array = column("T, 3", "rad", "orientation that the IMU measured, delayed and noisy", "world")
     angular_velocity_base: Array = column("T, 3", "rad/s", "angular velocity that the IMU measured", "base")
     motor_angle: Array = column("T, M", "rad", "angle that the encoder measured, delayed")
@@ -165,10 +165,10 @@ class EpisodeTrace:
     target: Array = column("T, M", "rad", "motor angle sent to the servo")
     energy: Array = column("T", "J", "integral over the control step of |torque . velocity|, at servo rate")
     foot_contact: Array = column(
-        "T, L", "1", "fraction of the control step in which the foot was in contact", known=False, is_fraction=True
+        "T, L", "1", "fraction of the control step in which the foot was in contact", required=False, is_fraction=True
     )
-    foot_position_world: Array = column("T, L, 3", "m", "position of the foot", "world", known=False)
-    true_motor_angle: Array = column("T, M", "rad", "angle at the end of the control step, not delayed", known=False)
+    foot_position_world: Array = column("T, L, 3", "m", "position of the foot", "world", required=False)
+    true_motor_angle: Array = column("T, M", "rad", "angle at the end of the control step, not delayed", required=False)
     command: Array = _optional_column(
         "T, 3", "m/s, m/s, rad/s", "commanded speeds forward and to the left, and commanded yaw rate", "heading"
     )

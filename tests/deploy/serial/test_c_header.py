@@ -258,8 +258,10 @@ def odd_frames(rng: random.Random) -> list[bytes]:
     """Return complete frames that are foreign, unknown or too short."""
     schema = CODEC.schema
     made = []
-    for version, foreign in [(VERSION, schema ^ 1), (2, schema), (0, 0)]:
-        made.append(whole_frame(HEADER.pack(version, 2, foreign, 1, 2) + rng.randbytes(rng.randrange(300))))
+    for version, third_party_policies in [(VERSION, schema ^ 1), (2, schema), (0, 0)]:
+        made.append(
+            whole_frame(HEADER.pack(version, 2, third_party_policies, 1, 2) + rng.randbytes(rng.randrange(300)))
+        )
     for code, size in [(0, 0), (2, 0), (2, 3), (2, 5), (67, 129), (67, 131), (200, 0), (200, 4)]:
         made.append(whole_frame(HEADER.pack(VERSION, code, schema, 1, 2) + rng.randbytes(size)))
     made += [whole_frame(HEADER.pack(2, 2, schema, 1, 2) + b"\7" * size) for size in range(990, 1005)]
@@ -280,11 +282,11 @@ def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak:
     )
     decoder, expected = Decoder(CODEC), []
     for at in range(len(stream)):
-        foreign = decoder.statistics.foreign
+        third_party_policies = decoder.statistics.foreign
         for frame in decoder.feed(stream[at : at + 1]):
             payload = CODEC.pack(frame.message)
             expected.append((NUMBERS[type(frame.message)], frame.sequence, round(frame.time * 1e6), payload))
-        if decoder.statistics.foreign > foreign:
+        if decoder.statistics.foreign > third_party_policies:
             expected.append(("foreign", *decoder.foreign))
     output, counts = run(program, "list", stream)
     decoded = []
@@ -297,7 +299,9 @@ def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak:
             decoded.append((int(first), int(rest[0]), int(rest[1]), CODEC.pack(message)))
     assert decoded == expected
     seen = decoder.statistics
-    assert counts.split() == [str(count) for count in (seen.received, seen.damaged, seen.foreign, seen.unknown)]
+    assert counts.split() == [
+        str(count) for count in (seen.received, seen.damaged, seen.foreign, seen.unknown)
+    ]
     assert seen.received > 400
     assert min(seen.damaged, seen.foreign, seen.unknown) > 15
 
