@@ -458,7 +458,7 @@ def test_row_6_battery_low_or_motor_hot(ended, reason, warning, worse):
 @scenarios("second")
 def test_row_7_a_second_program_is_rejected_at_the_port(ended):
     assert ended.refusal.startswith("port /dev/")
-    assert ended.refusal.endswith(": another program has it; one operator at a time")
+    assert ended.refusal.endswith(": another program uses it; only one operator at a time")
     # The first run is complete: no frame was lost, and the robot followed only one operator.
     assert ended.outcome == (0, "stopped", "operator")
     assert {**ended.output["frames"], "received": 0} == dict.fromkeys(ended.output["frames"], 0)

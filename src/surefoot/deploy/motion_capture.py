@@ -31,7 +31,7 @@ def read_capture(path: Path) -> dict[str, Array]:
             check_readable(path)
             lines = path.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError as error:
-        raise SurefootError(f"motion capture {path}: can't be read: is not text") from error
+        raise SurefootError(f"motion capture {path} can't be read: it is not text") from error
     names = [name.strip() for name in lines[0].split(",")] if lines else []
     missing = [name for name in COLUMNS if name not in names]
     if missing:

@@ -122,7 +122,7 @@ def test_a_port_is_lost_when_its_other_end_closes(pty):
 
 def test_a_second_program_is_rejected(pty):
     port = SerialPort(pty[1])
-    with pytest.raises(SurefootError, match=r"another program has it; one operator at a time$"):
+    with pytest.raises(SurefootError, match=r"another program uses it; only one operator at a time$"):
         SerialPort(pty[1])
     port.close()
     SerialPort(pty[1]).close()

@@ -90,5 +90,5 @@ def connect(path: str) -> SocketPort:
         raise SurefootError(f"port {path}: can't be opened: {error.strerror or error}") from error
     if not accepted:
         end.close()
-        raise SurefootError(f"port {path}: another program has it; one operator at a time")
+        raise SurefootError(f"port {path}: another program uses it; only one operator at a time")
     return SocketPort(end, f"port {path}")

@@ -33,7 +33,7 @@ class SerialPort:
         except (serial.SerialException, OSError, ValueError) as error:
             number = getattr(error, "errno", None)
             if number == errno.EAGAIN or "exclusively lock" in str(error):
-                raise SurefootError(f"port {path}: another program has it; one operator at a time") from error
+                raise SurefootError(f"port {path}: another program uses it; only one operator at a time") from error
             reason = os.strerror(number) if number else str(error)
             raise SurefootError(f"port {path}: can't be opened: {reason}") from error
         self._file = self._serial.fileno()
