@@ -218,7 +218,7 @@ NAMES = ["tick", *(f"motor_state[{k}].q" for k in range(12))]
         ([NAMES, ["x"] * 13], "has no row with a tick"),
         ([NAMES, ["1"] * 13], "has 1 states, but no two with rising ticks"),
         ([NAMES, ["-1"] * 13], "state 0 has tick -1; ticks must be 0 to 4294967295 ms"),
-        ([NAMES, ["1e300"] * 13], "state 0 has tick 1e.300; ticks are"),
+        ([NAMES, ["1e300"] * 13], "state 0 has tick 1e.300; ticks must be"),
     ],
 )
 def test_a_csv_that_is_not_a_log_is_rejected(tmp_path: Path, lines: Sequence[Sequence[str]], message: str) -> None:

@@ -105,7 +105,7 @@ def test_the_published_logs_are_read(pupper: RobotDescription):
         ({"command": np.full((50, 12), 0.3)}, "no command moves a joint by more than 0.02 rad"),
         ({"time": np.full(50, np.nan)}, "time has values that are not finite"),
         ({"imu": np.zeros((49, 4))}, r"imu has shape \(49, 4\).*one row per time"),
-        ({"command": np.full((50, 12), "a")}, "command holds <U1; it must hold numbers"),
+        ({"command": np.full((50, 12), "a")}, "command has type <U1; it must hold numbers"),
         ({"motor_angle": np.array([{}] * 50, object)}, "no file of arrays"),
     ],
 )
