@@ -46,7 +46,7 @@ def test_an_unwritable_folder_is_rejected_in_one_line(tmp_path: Path):
     (tmp_path / "file").touch()
     (tmp_path / "folder" / "lock").mkdir(parents=True)
     for name in ("file", "folder"):
-        with pytest.raises(SurefootError, match=rf"{name}: can't be used for training: \w"), folder_lock(tmp_path / name):
+        with pytest.raises(SurefootError, match=rf"{name}: can't be used for training"), folder_lock(tmp_path / name):
             pass
 
 
