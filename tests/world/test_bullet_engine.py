@@ -288,10 +288,10 @@ def test_shanks_collide_with_cells_and_feet_only_with_planes():
 
 def test_too_large_grounds_and_boxes_as_feet_on_terrain_are_rejected(robot, monkeypatch):
     config = WorldConfig(ground=blocks())
-    with pytest.raises(SurefootError, match="feet are boxes in world bullet-published"):
+    with pytest.raises(SurefootError, match="world bullet-published has boxes for feet"):
         SimWorld(robot, 1, config=config, engine="bullet-published")
     monkeypatch.setattr(bullet_model, "_MAX_INDICES", 300)
-    with pytest.raises(SurefootError, match=r"triangles with .* Bullet takes at most 100 with"):
+    with pytest.raises(SurefootError, match=r"triangles with .* Bullet allows at most 100 with"):
         SimWorld(robot, 1, config=config, engine="bullet")
 
 

@@ -134,7 +134,7 @@ def test_a_terrain_that_does_not_exist_is_rejected_in_one_line(text, message):
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
-        ({"heights": np.zeros((3, 3))}, "cell is not there"),
+        ({"heights": np.zeros((3, 3))}, "cell is missing"),
         ({"heights": np.zeros(9), "cell": 0.1}, r"the shape \(9,\)"),
         ({"heights": np.full((9, 9), np.nan), "cell": 0.1}, "must be finite"),
         ({"heights": np.zeros((9, 9)), "cell": 2.0}, "cell is 2 m; it must be 0.005 to 0.5"),

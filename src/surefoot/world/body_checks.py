@@ -46,7 +46,7 @@ def check_masses(robot: RobotDescription) -> CheckResult:
     size = 2 * length + robot.body_length
     findings = [finding for name, link in links.items() if (finding := _gyration(name, link, ends[name], size))]
     large, small = ([text for too_large, text in findings if too_large is kind] for kind in (True, False))
-    remedy = "use the inertia from the CAD program, or of a box with each link's size and mass, in its <inertial>"
+    remedy = "set each <inertial> to the inertia from the CAD program, or of a box of each link's size and mass"
     if large:
         return fail_if("masses", f"{message}; {first_with_count(large)}", message, remedy, total)
     return warn_if("masses", f"{message}; {first_with_count(small)}" if small else None, message, remedy, total)
