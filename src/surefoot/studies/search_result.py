@@ -29,7 +29,7 @@ _SEED = 2_000_003
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Trials of a search, and the best of them in fresh episodes."""
+    """Trials of a search, and the best of them in fresh episodes, which the search did not use."""
 
     config: SearchConfig
     trials: pd.DataFrame
