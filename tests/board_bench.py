@@ -44,7 +44,7 @@ class CompiledFirmware(FirmwareProcess):
         temperature = np.array([25.0, vitals.temperature, *[25.0] * 6])
         seen = Sensors(vitals.motor_angle, zeros, zeros, attitude, zeros[:3], 0.0, vitals.voltage, temperature)
         super().tick(now, seen, vitals.hazard, vitals.sit)
-        return MotorCommand(self.mode, self.order) if self.armed else MotorCommand(Mode.DISARMED, zeros)
+        return MotorCommand(self.mode, self.motor_values) if self.armed else MotorCommand(Mode.DISARMED, zeros)
 
     @property
     def link_monitor(self) -> CompiledFirmware:
