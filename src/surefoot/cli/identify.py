@@ -29,7 +29,7 @@ RECORDING = "recording.npz"
 TRACE = "--trace"
 ACTIONS: Actions = {
     "replay": ("replay a recorded run in simulation, and compare", "surefoot.cli.identify_replay"),
-    "import": ("make a trace of a log that others recorded: NPZ, CSV, pickle, torch, MCAP or ROS bag",
+    "import": ("make a trace of a log that others recorded: NPZ, CSV, pickle, torch, Parquet, MCAP or ROS bag",
                "surefoot.cli.identify_import"),
     "motor-figure": ("one motor follows a sine: servo and DC motor, constraint motor, and a recording",
                      "surefoot.cli.helpers.identify_motor_figure"),

@@ -28,7 +28,7 @@ class ImportCommand:
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Log: .npz, .csv, .pkl, .pt, .mcap, .bag, or the folder of a ROS 2 bag."""
+    """Log: .npz, .csv, .pkl, .pt, .parquet, .mcap, .bag, or the folder of a ROS 2 bag."""
     robot: str
     """Name or folder of the robot's description."""
     out: Path

@@ -6,6 +6,7 @@
     motors:                                      # for each motor of the robot, in any order
       rightFrontLegMotor: {command: "command[0]", angle: "motor_angle[0]", sign: 1, offset: 0.0}
     imu: {roll: "imu[0]", pitch: "imu[1]", roll_rate: "imu[2]", pitch_rate: "imu[3]", unit: rad, sign: 1}
+    rows: {episode_index: 3}                     # only rows with this value, of a file with several runs
 
 A motor's angle is sign x column + offset, its command too; `velocity` and `torque` may be mapped beside them. Readings
 without a column are NaN; so are the commands of a log of states, in whose mapping no motor has one. Times and rows stay
@@ -30,7 +31,6 @@ from surefoot.robot import RobotDescription
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ANGLE_UNITS = {"rad": 1.0, "deg": float(np.pi / 180)}
-_SHOWN = 30
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,8 @@ class LogMapping:
     time: TimeColumn | None = None
     unit: Literal["rad", "deg"] = "rad"
     imu: ImuColumns = field(default_factory=ImuColumns)
+    rows: dict[str, float] = field(default_factory=dict)
+    """Values of columns in the rows that are taken; all rows, if left out."""
 
 
 def default_mapping(robot: RobotDescription) -> LogMapping:
@@ -91,7 +93,7 @@ def import_log(
     """Return the motion of a foreign log.
 
     Args:
-        path: NPZ, CSV, pickle, MCAP, or folder or file of a ROS bag.
+        path: NPZ, CSV, pickle, torch, Parquet, MCAP, or folder or file of a ROS bag.
         robot: whose log it is.
         mapping: YAML file; if not given, bags and CSV files of a Go2's messages are read as such, and others by
             `default_mapping`.
@@ -117,7 +119,7 @@ def import_log(
                 raise SurefootError(f"motors lacks {choices(missing)}; it must name every motor")
             _check_commands(columns)
     with prefix_errors(f"log {path}"):
-        return _motion(read_table(path), columns, robot, mapping is None, path.name)
+        return _motion(read_table(path).where(columns.rows), columns, robot, mapping is None, path.name)
 
 
 def _check_commands(columns: LogMapping) -> None:
@@ -142,11 +144,7 @@ def _motion(
     missing = np.full(table.rows, np.nan)
 
     def column(key: str | None, optional: bool = False) -> Array:
-        if key is None or (optional and key not in table.columns):
-            return missing
-        if key not in table.columns:
-            raise SurefootError(f"has no column '{key}'; columns: {choices(list(table.columns)[:_SHOWN])}")
-        return table.columns[key]
+        return missing if key is None or (optional and key not in table.columns) else table.column(key)
 
     def of_motors(key: str, unit: float = 1.0, offset: bool = False) -> Array:
         optional = default and key != "command"
@@ -164,6 +162,12 @@ def _motion(
         raise SurefootError("has no clock of its own; the mapping must name the column of time")
     if not np.isfinite(time).all():
         raise SurefootError(f"time is not finite in row {int(np.argmin(np.isfinite(time)))}")
+    if (run_column := _find_run_column(table, time)) is not None:
+        first = table.columns[run_column][0]
+        raise SurefootError(
+            f"has several runs: time begins anew where {run_column} changes; choose one in the mapping, such as "
+            f"rows: {{{run_column}: {first:g}}}"
+        )
     check_rising(time)
     angle = ANGLE_UNITS[columns.unit]
     command = of_motors("command", angle, True)
@@ -180,3 +184,10 @@ def _motion(
         roll_pitch_yaw=of_imu("roll", "pitch", "yaw"),
         angular_velocity_base=of_imu("roll_rate", "pitch_rate", "yaw_rate"),
     )
+
+
+def _find_run_column(table: ColumnTable, time: Array) -> str | None:
+    """Return the column that changes exactly in the rows in which time (T,) goes backwards; None, if there is none."""
+    back = np.flatnonzero(np.diff(time) < 0.0)
+    names = (name for name, column in table.columns.items() if np.array_equal(np.flatnonzero(np.diff(column)), back))
+    return next(names, None) if len(back) else None
