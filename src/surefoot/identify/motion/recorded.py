@@ -68,7 +68,7 @@ class RecordedMotion:
     gains: dict[str, ParamValue] = field(default_factory=dict)
     """Gains that came with the commands, as physical parameters; none, if commands have angles alone."""
     meta: dict[str, Any] = field(default_factory=dict)
-    """What else the recorder states: control_step and lead [s], missed_steps, date, notes."""
+    """What else the recorder states: control_step and lead [s], missed_steps, date, notes, clock (whose it was)."""
 
     def __post_init__(self) -> None:
         """Fill absent channels."""
@@ -114,7 +114,9 @@ class RecordedMotion:
 
     @property
     def computed_clock(self) -> bool:
-        """Whether its times look computed: all steps are the same to a thousandth, which no clock measures."""
+        """Whether its times look computed, if nothing states whose they are: all steps are the same to a thousandth."""
+        if self.meta.get("clock"):
+            return False
         steps = np.diff(self.time)
         return len(steps) > MIN_STEPS and float(np.ptp(steps)) < COMPUTED * max(float(np.median(steps)), 1e-9)
 

@@ -10,7 +10,7 @@ import numpy as np
 from surefoot.errors import SurefootError
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_fit import fit_robot
-from surefoot.identify.recording import Recording
+from surefoot.identify.recording import CLOCK_RESOLUTION, Recording
 from surefoot.identify.result import FitProgress, Identification
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -34,20 +34,23 @@ def fit_air(
 def motion_of_phases(recording: Recording, use: str) -> RecordedMotion:
     """Return a recording from its first phase of a use (fit or check) to the last one as a log of a hanging robot.
 
-    A row is a state, at the time when the robot sent it, with the command that was in effect. Its readings are used a
-    lead later: the control latency counts up to then.
+    A row is a state, with the command that was in effect and the servo step in which that began to act. Its readings
+    are used a lead after the state was sent: the control latency counts up to then.
     """
     phases = recording.phases(use)
     states = np.arange(recording.phase_states(phases[0]).start, recording.phase_states(phases[-1]).stop)
-    time = recording.time[states]
-    order = np.clip(np.searchsorted(recording.arrival, time, side="right") - 1, 0, None)
+    # Arrivals that no state reports are estimates, which may be out of order.
+    arrival = np.maximum.accumulate(recording.arrival)
+    order = np.clip(np.searchsorted(arrival, recording.time[states] + CLOCK_RESOLUTION, side="right") - 1, 0, None)
+    acts = recording.servo_step(arrival[order]) * float(recording.meta["servo_period"])
     return RecordedMotion(
         f"{use} phases",
-        time - time[0],
+        acts - acts[0],
         recording.sent_value[order],
-        time - time[0] + float(recording.meta["lead"]),
+        recording.time[states] + float(recording.meta["lead"]) - acts[0],
         recording.motor_angle[states],
         recording.motor_velocity[states],
         recording.motor_torque[states],
         rack=True,
+        meta={"clock": "robot"},
     ).checked()
