@@ -29,7 +29,7 @@ RECORDING = "recording.npz"
 TRACE = "--trace"
 ACTIONS: Actions = {
     "replay": ("replay the commands of a recorded run in simulation, and compare", "surefoot.cli.identify_replay"),
-    "import": ("convert a log to a trace; formats: NPZ, CSV, pickle, torch, MCAP, ROS bag",
+    "import": ("convert a log to a trace; formats: NPZ, CSV, pickle, torch, Parquet, MCAP, ROS bag",
                "surefoot.cli.identify_import"),
     "motor-figure": ("let a motor follow a sine or a recording with both motor models, and plot it",
                      "surefoot.cli.helpers.identify_motor_figure"),

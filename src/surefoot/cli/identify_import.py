@@ -28,7 +28,7 @@ class ImportCommand:
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Log file: .npz, .csv, .pkl, .pt, .mcap, .bag, or the folder of a ROS 2 bag."""
+    """Log file: .npz, .csv, .pkl, .pt, .parquet, .mcap, .bag, or the folder of a ROS 2 bag."""
     robot: str
     """Name of a released robot, or the folder of a robot."""
     out: Path

@@ -74,6 +74,8 @@ class _ExperimentRunner:
         link, ended, resting = self.link, COMPLETE, 0
         statistics = link.statistics
         before = statistics.missing, statistics.damaged
+        if not link.lockstep:
+            link.update()  # states that have waited since the connection would count as just come
         link.on_state = lambda *received: self._states.append(received)
         self._started = link.clock.now()
         try:

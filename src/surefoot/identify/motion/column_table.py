@@ -1,4 +1,4 @@
-"""Reader of numeric tables in third-party files: NPZ, CSV, pickle, torch tensors, MCAP and ROS bags.
+"""Reader of numeric tables in third-party files: NPZ, CSV, pickle, torch tensors, Parquet, MCAP and ROS bags.
 
 Each element of a multidimensional array becomes a column: `name[3]`, `name[1,2]`. A message field becomes
 `topic.field[3]`. Files are not trusted: a pickle may contain only numbers, strings, lists, dictionaries and arrays.
@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, describe_os_errors
+from surefoot.errors import SurefootError, choices, describe_os_errors
 from surefoot.files import check_readable
+from surefoot.identify.motion.parquet_file import read_parquet
 from surefoot.identify.motion.torch_file import read_tensors
 from surefoot.npz import read_npz
 
@@ -31,6 +32,8 @@ MAX_NUMBERS = 1 << 27
 MAX_ITEMS = 1 << 24
 """Maximum number of objects in a pickle, counted with repetition: a few bytes can refer to a list many times."""
 _MAX_DEPTH = 8
+_SHOWN = 30
+"""Columns that an error names."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,32 @@ class ColumnTable:
         """Number of rows T."""
         return len(next(iter(self.columns.values())))
 
+    def where(self, values: Mapping[str, float]) -> ColumnTable:
+        """Return the rows in which columns have these values.
+
+        Raises:
+            SurefootError: no such column, or no such row.
+        """
+        table = self
+        for name, value in values.items():
+            rows = table.column(name) == value
+            if not rows.any():
+                seen = np.unique(table.column(name))
+                raise SurefootError(f"has no rows with {name} {value:g}; {name} is {seen[0]:g} to {seen[-1]:g}")
+            columns = {key: column[rows] for key, column in table.columns.items()}
+            table = ColumnTable(columns, None if table.time is None else table.time[rows])
+        return table
+
+    def column(self, name: str) -> Array:
+        """Return a column (T,).
+
+        Raises:
+            SurefootError: no column of this name.
+        """
+        if name not in self.columns:
+            raise SurefootError(f"has no column '{name}'; columns: {choices(list(self.columns)[:_SHOWN])}")
+        return self.columns[name]
+
 
 def read_table(path: Path) -> ColumnTable:
     """Read a table from a file of the kind given by its suffix.
@@ -58,7 +87,7 @@ def read_table(path: Path) -> ColumnTable:
     if is_bag(path):
         return _read_bag(path)
     readers = {".npz": _read_npz, ".csv": read_csv, ".pkl": _read_pickle, ".pickle": _read_pickle}
-    readers |= dict.fromkeys((".pt", ".pth"), _read_torch)
+    readers |= dict.fromkeys((".pt", ".pth"), _read_torch) | {".parquet": _read_parquet}
     if suffix not in readers:
         raise SurefootError(f"is of kind '{suffix}'; kinds: {', '.join(readers)}, .mcap, .bag, or the folder of a bag")
     with describe_os_errors("it"):
@@ -79,6 +108,10 @@ def _read_torch(path: Path) -> ColumnTable:
     return _table_from_arrays(
         {name: value for name, value in read_tensors(path).items() if isinstance(value, np.ndarray)}
     )
+
+
+def _read_parquet(path: Path) -> ColumnTable:
+    return _table_from_arrays(read_parquet(path, MAX_NUMBERS))
 
 
 def _table_from_arrays(arrays: Mapping[Any, Any]) -> ColumnTable:

@@ -6,6 +6,7 @@
     motors:                                      # every motor of the robot, in any order
       rightFrontLegMotor: {command: "command[0]", angle: "motor_angle[0]", sign: 1, offset: 0.0}
     imu: {roll: "imu[0]", pitch: "imu[1]", roll_rate: "imu[2]", pitch_rate: "imu[3]", unit: rad, sign: 1}
+    rows: {episode_index: 3}                     # only rows with this value, of a file with several runs
 
 Angle and command of a motor are sign x column + offset; `velocity` and `torque` may also be mapped. Readings without a
 column are NaN. A log of states has no commands: its mapping leaves out `command` for every motor, and commands are NaN.
@@ -30,8 +31,6 @@ from surefoot.robot import RobotDescription
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ANGLE_UNITS = {"rad": 1.0, "deg": float(np.pi / 180)}
-_MAX_LISTED = 30
-"""Maximum number of column names listed in a message."""
 
 
 @dataclass(frozen=True)
@@ -78,6 +77,8 @@ class LogMapping:
     time: TimeColumn | None = None
     unit: Literal["rad", "deg"] = "rad"
     imu: ImuColumns = field(default_factory=ImuColumns)
+    rows: dict[str, float] = field(default_factory=dict)
+    """Values of columns in the rows that are taken; all rows, if left out."""
 
 
 def default_mapping(robot: RobotDescription) -> LogMapping:
@@ -92,7 +93,7 @@ def import_log(
     """Read a third-party log as recorded motion.
 
     Args:
-        path: NPZ, CSV, pickle or MCAP file, or folder or file of a ROS bag.
+        path: NPZ, CSV, pickle, torch, Parquet or MCAP file, or folder or file of a ROS bag.
         robot: robot that was logged.
         mapping: YAML file with the mapping. Defaults to `default_mapping`, except for bags and CSV files with Go2
             messages, which need none.
@@ -118,7 +119,7 @@ def import_log(
                 raise SurefootError(f"motors lacks {choices(missing)}; it must name every motor of the robot")
             _check_commands(columns)
     with prefix_errors(f"log {path}"):
-        return _motion(read_table(path), columns, robot, mapping is None, path.name)
+        return _motion(read_table(path).where(columns.rows), columns, robot, mapping is None, path.name)
 
 
 def _check_commands(columns: LogMapping) -> None:
@@ -143,11 +144,7 @@ def _motion(
     missing = np.full(table.rows, np.nan)
 
     def column(key: str | None, optional: bool = False) -> Array:
-        if key is None or (optional and key not in table.columns):
-            return missing
-        if key not in table.columns:
-            raise SurefootError(f"has no column '{key}'; columns: {choices(list(table.columns)[:_MAX_LISTED])}")
-        return table.columns[key]
+        return missing if key is None or (optional and key not in table.columns) else table.column(key)
 
     def motor_columns(key: str, unit: float = 1.0, offset: bool = False) -> Array:
         optional = default and key != "command"
@@ -165,6 +162,12 @@ def _motion(
         raise SurefootError("has no time stamps of its own; the mapping must name the column of time")
     if not np.isfinite(time).all():
         raise SurefootError(f"time is not finite in row {int(np.argmin(np.isfinite(time)))}")
+    if (run_column := _find_run_column(table, time)) is not None:
+        first = table.columns[run_column][0]
+        raise SurefootError(
+            f"has several runs: time begins anew where {run_column} changes; choose one in the mapping, such as "
+            f"rows: {{{run_column}: {first:g}}}"
+        )
     check_rising(time)
     angle = ANGLE_UNITS[columns.unit]
     command = motor_columns("command", angle, True)
@@ -181,3 +184,10 @@ def _motion(
         roll_pitch_yaw=imu_columns("roll", "pitch", "yaw"),
         angular_velocity_base=imu_columns("roll_rate", "pitch_rate", "yaw_rate"),
     )
+
+
+def _find_run_column(table: ColumnTable, time: Array) -> str | None:
+    """Return the column that changes exactly in the rows in which time (T,) goes backwards; None, if there is none."""
+    back = np.flatnonzero(np.diff(time) < 0.0)
+    names = (name for name, column in table.columns.items() if np.array_equal(np.flatnonzero(np.diff(column)), back))
+    return next(names, None) if len(back) else None

@@ -70,7 +70,7 @@ class RecordedMotion:
     gains: dict[str, ParamValue] = field(default_factory=dict)
     """Gains sent with the commands, as physical parameters; empty if commands consist of angles only."""
     meta: dict[str, Any] = field(default_factory=dict)
-    """Other metadata of the recorder: control_step and lead [s], missed_steps, date, notes."""
+    """Other metadata of the recorder: control_step and lead [s], missed_steps, date, notes, clock (whose it is)."""
 
     def __post_init__(self) -> None:
         """Fill absent channels with NaN, and absent reading times with their default."""
@@ -116,7 +116,12 @@ class RecordedMotion:
 
     @property
     def computed_clock(self) -> bool:
-        """Whether the times look computed: all steps are equal to a thousandth, which no measured clock achieves."""
+        """Whether the times look computed: all steps are equal to a thousandth, which no measured clock achieves.
+
+        A log that states its clock is taken at its word.
+        """
+        if self.meta.get("clock"):
+            return False
         steps = np.diff(self.time)
         return len(steps) > MIN_STEPS and float(np.ptp(steps)) < COMPUTED_SPREAD * max(float(np.median(steps)), 1e-9)
 

@@ -10,7 +10,7 @@ import numpy as np
 from surefoot.errors import SurefootError
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_fit import fit_robot
-from surefoot.identify.recording import Recording
+from surefoot.identify.recording import CLOCK_RESOLUTION, Recording
 from surefoot.identify.result import FitProgress, Identification
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -34,20 +34,23 @@ def fit_air(
 def motion_from_phases(recording: Recording, use: str) -> RecordedMotion:
     """Return a recording from the first to the last phase with a use (fit or check), as a log of a hanging robot.
 
-    Each row is a state at the time at which the robot sent it, with the command in effect. The control latency includes
-    the lead, the time from sending a state to its use.
+    Each row is a state, with the command in effect and the servo step in which it began to act. The control latency
+    includes the lead, the time from sending a state to its use.
     """
     phases = recording.phases(use)
     states = np.arange(recording.phase_states(phases[0]).start, recording.phase_states(phases[-1]).stop)
-    time = recording.time[states]
-    command = np.clip(np.searchsorted(recording.arrival, time, side="right") - 1, 0, None)
+    # Arrival times that no state reports are estimates, and may be out of order.
+    arrival = np.maximum.accumulate(recording.arrival)
+    command = np.clip(np.searchsorted(arrival, recording.time[states] + CLOCK_RESOLUTION, side="right") - 1, 0, None)
+    acts = recording.servo_step(arrival[command]) * float(recording.meta["servo_period"])
     return RecordedMotion(
         f"{use} phases",
-        time - time[0],
+        acts - acts[0],
         recording.sent_value[command],
-        time - time[0] + float(recording.meta["lead"]),
+        recording.time[states] + float(recording.meta["lead"]) - acts[0],
         recording.motor_angle[states],
         recording.motor_velocity[states],
         recording.motor_torque[states],
         rack=True,
+        meta={"clock": "robot"},
     ).require_replayable()
