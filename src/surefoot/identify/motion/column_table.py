@@ -32,8 +32,8 @@ MAX_NUMBERS = 1 << 27
 MAX_ITEMS = 1 << 24
 """Maximum number of objects in a pickle, counted with repetition: a few bytes can refer to a list many times."""
 _MAX_DEPTH = 8
-_SHOWN = 30
-"""Columns that an error names."""
+_MAX_LISTED = 30
+"""Maximum number of column names listed in a message."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class ColumnTable:
             SurefootError: no column of this name.
         """
         if name not in self.columns:
-            raise SurefootError(f"has no column '{name}'; columns: {choices(list(self.columns)[:_SHOWN])}")
+            raise SurefootError(f"has no column '{name}'; columns: {choices(list(self.columns)[:_MAX_LISTED])}")
         return self.columns[name]
 
 
