@@ -72,7 +72,7 @@ def test_an_adopted_policy_works_with_other_commands(adopted, tmp_path, capsys):
 
 
 def test_doctor_lists_the_changes_tried(adopted, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("surefoot.adopt.mistakes._PARTS", ())
+    monkeypatch.setattr("surefoot.adopt.mistakes._CORRECTION_KINDS", ())
     for module in ("examination", "diagnosis"):
         monkeypatch.setattr(f"surefoot.adopt.{module}.EPISODE_DURATION", 1.0)
     monkeypatch.setattr("surefoot.adopt.diagnosis.SCREENING_DURATION", 0.2)

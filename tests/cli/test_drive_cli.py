@@ -201,7 +201,7 @@ def test_page_has_the_parameters_of_the_command_line(monkeypatch: pytest.MonkeyP
 
 
 def test_policy_without_commands_rejects_a_source_of_them():
-    with pytest.raises(SurefootError, match="'trot' has no commands to follow"):
+    with pytest.raises(SurefootError, match="'trot' follows no commands"):
         serve(DrivePage("trot", "mujoco"), None, 0, "5555")
 
 

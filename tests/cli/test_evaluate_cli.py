@@ -209,7 +209,7 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_commands(tmp_path: Pa
     from surefoot.evaluation import tracking
     from surefoot.task.trace import EpisodeTrace
 
-    monkeypatch.setattr(tracking, "GRID", 2)
+    monkeypatch.setattr(tracking, "GRID_SIZE", 2)
     from surefoot.api.episodes import captions
     from surefoot.api.policies import find_policy, load_gait, run_policy
     from surefoot.evaluation.conditions import Condition, with_duration

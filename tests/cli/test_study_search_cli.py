@@ -139,5 +139,5 @@ def test_an_address_without_ray_is_rejected(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setattr("surefoot.studies.workers._CONNECT_TIMEOUT", 0.5)
     port = free_port()
     done = surefoot("study", "search", "trot", "--ray", f"127.0.0.1:{port}", cwd=tmp_path)
-    assert_rejected(done, f"ray is 127.0.0.1:{port}: no Ray answers there within 0.5 s")
+    assert_rejected(done, f"ray is 127.0.0.1:{port}: no Ray cluster answers within 0.5 s")
     assert not list(tmp_path.iterdir())

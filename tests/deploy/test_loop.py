@@ -155,7 +155,7 @@ def test_motors_move_smoothly_from_where_they_are_until_the_robot_sits(deploy, t
 
 def test_rows_without_a_valid_trace_are_lost_with_a_note(deploy, monkeypatch):
     monkeypatch.setattr(
-        "surefoot.task.partial_trace.TraceHead.trace", mock.Mock(side_effect=SurefootError("time repeats"))
+        "surefoot.task.partial_trace.TraceHeader.trace", mock.Mock(side_effect=SurefootError("time repeats"))
     )
     _, saved, _ = deploy()
     assert (saved.trace, saved.lost, saved.notes) == (None, True, ["no trace can be made of the rows: time repeats"])

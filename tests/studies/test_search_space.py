@@ -109,7 +109,7 @@ BAD = [
     ("ppo.activation: {choices: [elu, sigh]}", "ppo.activation is 'sigh'; did you mean swish\\? choices: elu"),
     ("ppo.activation: {choices: [elu], low: 1}", "it has choices and parts of a range"),
     ("ppo.activation: {choices: [elu, elu]}", r"choices is \['elu', 'elu'\]; each choice must be different"),
-    ("ppo.gamma: 0.9", "ppo.gamma: Dimension is 0.9; it must be a table with keys out of: low, high"),
+    ("ppo.gamma: 0.9", "ppo.gamma: Dimension is 0.9; it must be a table with keys from: low, high"),
     ("ppo.gamma: {lowest: 0.9}", "ppo.gamma: lowest is not a key; did you mean low\\? choices: low"),
     ("ppo.gamma: {low: a, high: 1}", "ppo.gamma: low is 'a'; it must be a number or nothing"),
     ("seed: {low: 0, high: 9, int: true}", "seed is not searched: the search sets it itself"),
