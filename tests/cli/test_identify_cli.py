@@ -212,7 +212,7 @@ def test_ctrl_c_ends_an_experiment_and_keeps_the_recording(hanging: EmulatorHere
     assert "to fit it" not in message
     assert [path.name for path in out.iterdir()] == ["recording.npz"]
     # A stopped recording can't be fitted later.
-    assert_rejected(identify("motor", "--recording", out), "did not come to its end: stopped by the operator")
+    assert_rejected(identify("motor", "--recording", out), "stopped early: stopped by the operator")
 
 
 def test_an_experiment_rejects_a_robot_that_differs_from_its_data_sheet(robot: RobotDescription):
