@@ -46,7 +46,7 @@ def test_a_warning_passes_and_origins_of_numbers_are_printed(
     out = capsys.readouterr().out
     assert "stated   actuator.torque_limit = 20.0: N m, from odd.urdf" in out
     assert "warn      left and right        back_left's upper link is 4 mm longer than back_right's" in out
-    assert "to do: correct places and lengths of links" in out
+    assert "to do: correct positions and lengths of links" in out
     assert "9 passed, 1 passed with a warning, 0 failed" in out
     assert "train trot --robot" in out
     assert main(["robot", "check", "odd"]) == 0
