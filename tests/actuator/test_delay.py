@@ -74,13 +74,13 @@ def test_a_full_history_keeps_the_last_samples():
 
 @given(
     gaps=st.lists(st.floats(1e-3, 1.0), min_size=1, max_size=30),
-    share=st.floats(0, 1),
+    fraction=st.floats(0, 1),
     slope=st.floats(-100, 100),
     offset=st.floats(-100, 100),
 )
-def test_a_straight_line_is_read_exactly(gaps: list[float], share: float, slope: float, offset: float):
+def test_a_straight_line_is_read_exactly(gaps: list[float], fraction: float, slope: float, offset: float):
     times, history = np.cumsum([0.0, *gaps]), History()
     for time in times:
         history.push(time, np.array([slope * time + offset, 0.0]))
-    at = share * times[-1]
+    at = fraction * times[-1]
     assert history.read(at)[0] == pytest.approx(slope * at + offset, abs=1e-9)

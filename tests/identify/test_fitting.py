@@ -246,14 +246,14 @@ def test_considered_unknowns_widen_intervals_and_are_never_fitted():
     considered = unknown("c", 0.0, prior=0.3)
     data = 3.0 + draw.normal(0, 1, 400)
     model = Linear(matrix, data, [unknown("a", 0.0, prior=100.0), considered])
-    alone = model.restrict(np.array([True, False]), np.zeros(2))
-    held = hold_unidentifiable(model, fit_least_squares(alone), [considered])
+    restricted = model.restrict(np.array([True, False]), np.zeros(2))
+    held = hold_unidentifiable(model, fit_least_squares(restricted), [considered])
     assert (held.has_considered, held.held.tolist()) == (True, [False, True])
     assert held.values == pytest.approx([data.mean(), 0.0], abs=1e-3)
     # Residuals hardly show c, so half of its prior uncertainty, 0.5 x 0.3, adds to 1 / sqrt(400).
     assert held.deviation[0] == pytest.approx(np.hypot(0.05, 0.15), rel=0.25)
     # If larger errors of c would show in the residuals, it adds less.
     sharp = Linear(100 * matrix, 300.0 + draw.normal(0, 1, 400), model.unknowns)
-    alone = sharp.restrict(np.array([True, False]), np.zeros(2))
-    exact = hold_unidentifiable(sharp, fit_least_squares(alone), [considered])
+    restricted = sharp.restrict(np.array([True, False]), np.zeros(2))
+    exact = hold_unidentifiable(sharp, fit_least_squares(restricted), [considered])
     assert exact.deviation[0] < 0.01

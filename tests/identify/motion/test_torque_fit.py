@@ -240,10 +240,10 @@ def test_a_motor_at_its_limit_identifies_only_its_strength() -> None:
 def test_a_part_of_one_trace_or_whole_traces_are_held_out() -> None:
     both = fit_torques(ROBOT, [clean(), record(start=2.0)], BATTERY_KNOWN, AT_15_V)
     assert max(map(abs, errors_of(both).values())) < 0.01
-    alone = clean_result()
-    assert alone.series[0].x[0] > 0.7 * 4.0
+    single = clean_result()
+    assert single.series[0].x[0] > 0.7 * 4.0
     assert both.series[0].x[0] < 0.2
-    assert both.digest != alone.digest
+    assert both.digest != single.digest
 
 
 def test_rows_around_gaps_are_left_out_and_noted() -> None:
@@ -298,9 +298,9 @@ def test_a_walk_identifies_the_mass_of_the_base() -> None:
     assert mass.deviation < 0.04
     assert any("weighs" in note and "leg_mass_ratio is 1.1" in note for note in result.notes)
     # The mass can be the only parameter.
-    alone = fit_torques(ROBOT, [walk], ("base_mass_ratio",), hidden)
-    assert alone.identified_names() == ("base_mass_ratio",)
-    assert alone.estimate("base_mass_ratio").value == pytest.approx(ratio, rel=0.04)
+    single = fit_torques(ROBOT, [walk], ("base_mass_ratio",), hidden)
+    assert single.identified_names() == ("base_mass_ratio",)
+    assert single.estimate("base_mass_ratio").value == pytest.approx(ratio, rel=0.04)
 
 
 def test_mass_needs_long_walks_on_the_ground() -> None:
