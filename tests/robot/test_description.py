@@ -168,7 +168,7 @@ foot_radius = 0.0085 => foot_radius = 0.3 => leg_geometry.foot_radius is 0.3 ...
 body_length = 0.54 => body_lenght = 0.54 => body_lenght ... is not a key ... choices: ... body_length
 \nviscous_friction = 0.0 => \nviscous_friction = -0.01 => actuator.viscous_friction is -0.01 ... 0 or more
 resistance = 0.186 => resistance = 0.0 => actuator.resistance is 0 ... over 0
-torque_table_current = [0.0, 10.0, 20.0, => torque_table_current = [0.0, 20.0, 10.0, => torque_table_current ... increase
+torque_table_current = [0.0, 10.0, 20.0, => torque_table_current = [0.0, 20.0, 10.0, => torque_table ... increase
 torque_table_current = [0.0, 10.0, => torque_table_current = [0.0, => torque_table_current has 6 points ... the same
 swing = [-1.0, 1.0] => swing = [1.0, -1.0] => leg_space.swing ... the lower bound must come first
 rest = [0.0, 2.0] => rest = [2.0] => leg_space.rest has 1 numbers ... swing, extension
