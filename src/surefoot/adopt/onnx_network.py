@@ -88,11 +88,13 @@ class OnnxNetwork:
 
     def _compare(self, graph: Graph, outputs: list[Value]) -> None:
         """Reject a translation with other outputs than the file."""
-        values = [Value("observation", self.inputs), *self._named_hidden()]
-        model = graph.to_onnx(values, outputs, "translation")
+        graph_inputs = [Value("observation", self.inputs), *self._named_hidden()]
+        model = graph.to_onnx(graph_inputs, outputs, "translation")
         random = np.random.default_rng(0)
-        inputs = [random.normal(size=(_NUM_SAMPLES, v.width)).astype(np.float32) for v in values]
-        translated = run_model(model.SerializeToString(), dict(zip((v.name for v in values), inputs, strict=True)))
+        inputs = [random.normal(size=(_NUM_SAMPLES, v.width)).astype(np.float32) for v in graph_inputs]
+        translated = run_model(
+            model.SerializeToString(), dict(zip((v.name for v in graph_inputs), inputs, strict=True))
+        )
         for row in range(_NUM_SAMPLES):
             feed = {}
             for one, samples in zip(self._inputs, inputs, strict=True):
