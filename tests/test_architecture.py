@@ -19,7 +19,8 @@ ALLOWED: dict[str, set[str]] = {
     "task": {"robot", "policy", "world.interface", "world.ground", "world.terrain"},
     "learn": {"task", "policy", "evaluation", "robot", "world.interface"},
     "policy": {"robot"},
-    "evaluation": {"task", "policy", "world", "robot"},
+    "estimation": {"robot"},
+    "evaluation": {"task", "policy", "world", "robot", "estimation"},
     "identify": {"world", "deploy", "robot", "actuator", "task.trace"},
     "deploy": {
         *("robot", "policy", "world.interface"),
@@ -50,6 +51,7 @@ ROBOT_SIDE = [
     "task.gait",
     "task.observation",
     "task.trace",
+    "estimation.legged_odometry",
     "robot",
     "api.policies",
     "cli.doctor",
