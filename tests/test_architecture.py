@@ -52,6 +52,7 @@ ROBOT_SIDE = [
     "task.observation",
     "task.trace",
     "estimation.legged_odometry",
+    "evaluation.estimated_motion",
     "robot",
     "api.policies",
     "cli.doctor",

@@ -32,6 +32,10 @@ SINGULAR = 1e-3
 torques say nothing about the force along it."""
 
 
+DIFFERENCE = 1e-4
+"""Difference of motor angles [rad] with which the Jacobians are taken."""
+
+
 @dataclass(frozen=True)
 class FootObservations:
     """What the feet of N robots with L legs imply; vectors are in the base frame."""
@@ -57,9 +61,18 @@ def foot_radii(robot: RobotDescription) -> Array:
 
 def up_direction(roll_pitch_yaw: Array) -> Array:
     """Return the direction away from the ground in the base frame (N, 3), a unit vector; (0, 0, 1) of a level base."""
-    roll, pitch = roll_pitch_yaw[:, 0], roll_pitch_yaw[:, 1]
-    level = np.cos(pitch)
-    return np.stack([-np.sin(pitch), np.sin(roll) * level, np.cos(roll) * level], axis=-1)
+    sine, cosine, up = np.sin(roll_pitch_yaw), np.cos(roll_pitch_yaw), np.empty(roll_pitch_yaw.shape)
+    level = cosine[:, 1]
+    up[:, 0], up[:, 1], up[:, 2] = -sine[:, 1], sine[:, 0] * level, cosine[:, 0] * level
+    return up
+
+
+def cross(one: Array, other: Array) -> Array:
+    """Return the cross product of vectors (..., 3), in a third of the time that numpy's takes for a few."""
+    product = np.empty(np.broadcast_shapes(one.shape, other.shape))
+    (ax, ay, az), (bx, by, bz) = ((v[..., 0], v[..., 1], v[..., 2]) for v in (one, other))
+    product[..., 0], product[..., 1], product[..., 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    return product
 
 
 class FootOdometry:
@@ -74,6 +87,8 @@ class FootOdometry:
         self._legs = legs
         self._mounts, self._index = robot.leg_mounts, robot.leg_motor_index
         self._share = robot.weight / len(robot.legs)
+        motors = self._index.shape[1]
+        self._changes = DIFFERENCE * np.concatenate([np.zeros((1, motors)), np.eye(motors)])[:, None, None]
         self._floor = (SINGULAR * legs.length) ** 2 * np.eye(3)
         inertia = robot.nominal_params().get("rotor_inertia", 0.0)
         self._inertia = np.broadcast_to(np.asarray(inertia, float), (robot.num_motors,))[self._index]
@@ -85,27 +100,39 @@ class FootOdometry:
 
     def update(self, readings: MotionReadings) -> FootObservations:
         """Return what the feet imply for the time since the readings before; of the first ones, that they rest."""
-        angles, speeds = readings.motor_angle[:, self._index], readings.motor_velocity[:, self._index]
+        angles, speeds, torque = (
+            np.take(values, self._index, axis=1)
+            for values in (readings.motor_angle, readings.motor_velocity, readings.motor_torque)
+        )
         rate, duration = readings.angular_velocity_base, readings.duration[:, None, None]
-        centre, link = self._legs.foot_position(angles) + self._mounts, self._legs.foot_link_angles(angles)
+        # All at once: on a robot the number of operations counts, not their size.
+        places = self._legs.foot_position(angles + self._changes)
+        link, jacobian = self._legs.foot_link_angles(angles, places[0]), (places[1:] - places[0]) / DIFFERENCE
+        centre = places[0] + self._mounts
         old_centre, old_link, old_speeds, old_rate = self._before or (centre, link, speeds, rate)
         self._before = centre, link, speeds, rate
         up = up_direction(readings.roll_pitch_yaw)
         sole = self._radius * up[:, None]
-        turn, (abduction, pitch) = ((rate + old_rate) / 2)[:, None], np.moveaxis((link - old_link) / duration, -1, 0)
-        aside = (link[..., 0] + old_link[..., 0]) / 2
-        of_link = turn + np.stack([abduction, np.cos(aside) * pitch, np.sin(aside) * pitch], axis=-1)
-        velocity = (
-            np.cross(of_link, sole) - np.cross(turn, (centre + old_centre) / 2) - (centre - old_centre) / duration
-        )
-        torque = readings.motor_torque[:, self._index] - self._inertia * (speeds - old_speeds) / duration
-        return FootObservations(up, velocity, centre - sole, self._load(angles, torque, up))
+        turn, change = ((rate + old_rate) / 2)[:, None], (link - old_link) / duration
+        aside, pitch = (link[..., 0] + old_link[..., 0]) / 2, change[..., 1]
+        of_link = np.empty_like(centre)
+        of_link[..., 0], of_link[..., 1], of_link[..., 2] = change[..., 0], np.cos(aside) * pitch, np.sin(aside) * pitch
+        of_link += turn
+        velocity = cross(of_link, sole) - cross(turn, (centre + old_centre) / 2) - (centre - old_centre) / duration
+        torque = torque - self._inertia * ((speeds - old_speeds) / duration)
+        return FootObservations(up, velocity, centre - sole, self._load(jacobian, torque, up))
 
-    def _load(self, angles: Array, torque: Array, up: Array) -> Array:
-        """Return the vertical forces (N, L) over an equal share of the weight, for torques (N, L, m) [N m]."""
-        jacobian = self._legs.jacobian(angles)
-        # J^T f = -t, so f . u = -t . J^+ u.
-        square = jacobian @ np.swapaxes(jacobian, -1, -2) + self._floor
-        along = np.linalg.solve(square, np.broadcast_to(up[:, None, :, None], (*square.shape[:-1], 1)))
-        rates = (np.swapaxes(jacobian, -1, -2) @ along)[..., 0]
-        return np.asarray(-(torque * rates).sum(axis=-1) / self._share)
+    def _load(self, jacobian: Array, torque: Array, up: Array) -> Array:
+        """Return the vertical forces (N, L) over an equal share of the weight.
+
+        Args:
+            jacobian: of the feet, (m, N, L, 3) [m/rad].
+            torque: of the motors, (N, L, m) [N m].
+            up: direction of up, (N, 3).
+        """
+        # J^T f = -t, so f . u = -t . J^+ u = -(J t) . (J J^T)^-1 u.
+        rows = jacobian.transpose(1, 2, 0, 3)
+        square = rows.swapaxes(-1, -2) @ rows + self._floor
+        along = np.linalg.solve(square, up[:, None, :, None])[..., 0]
+        moved = (torque[..., None, :] @ rows)[..., 0, :]
+        return np.asarray(-(moved * along).sum(axis=-1) / self._share)

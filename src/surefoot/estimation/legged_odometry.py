@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.estimation.foot_odometry import FootObservations, FootOdometry
+from surefoot.estimation.foot_odometry import FootObservations, FootOdometry, cross
 from surefoot.estimation.interface import MotionReadings, VelocityEstimate
 from surefoot.robot import GRAVITY, RobotDescription
 
@@ -45,6 +45,8 @@ HEIGHT_NOISE = 0.1
 """Standard deviation of the height over a standing foot [l]: the attitude's error over the distance of the foot."""
 HEIGHT_CHANGE = 0.1
 """Standard deviation of the change of the ground's height under the feet in the time sqrt(l / g), [l]."""
+
+_EYE = np.eye(3)
 
 
 class LeggedOdometry:
@@ -78,53 +80,59 @@ class LeggedOdometry:
     def update(self, readings: MotionReadings) -> VelocityEstimate:
         """Take the readings of a control step and return the estimate for their time."""
         feet = self._odometry.update(readings)
-        standing = _standing(feet, readings.expected_load)
+        implied, standing = feet.velocity, _standing(feet, readings.expected_load)
+        known = np.isfinite(implied)
+        if not known.all():  # a leg that can't close
+            standing = np.where(known.all(axis=-1), standing, 0.0)
+            implied = np.where(known, implied, 0.0)
         self._predict(readings, feet.up, standing)
-        contact = self._correct(feet.velocity, standing)
+        contact = self._correct(implied, standing)
         self._update_height(readings.duration, feet, contact)
-        covariance = self._variance[:, :, None] * np.eye(3)
+        covariance = self._variance[:, :, None] * _EYE
         return VelocityEstimate(self._velocity.copy(), covariance, self._height.copy(), contact)
 
     def _predict(self, readings: MotionReadings, up: Array, standing: Array) -> None:
         duration = readings.duration[:, None]
-        change, walk = -np.cross(readings.angular_velocity_base, self._velocity), self._walk
+        change, walk = -cross(readings.angular_velocity_base, self._velocity), self._walk
         if readings.accelerometer is not None:
             change, walk = change + readings.accelerometer - GRAVITY * up, self._measured_walk
         else:
             # A robot without a foot on the ground falls freely.
-            change = change - GRAVITY * up * np.prod(1.0 - standing, axis=1)[:, None]
+            change -= GRAVITY * up * (1.0 - standing).prod(axis=1)[:, None]
         self._velocity += change * duration
         self._variance += walk * duration
 
     def _correct(self, implied: Array, standing: Array) -> Array:
         """Correct the velocity by what feet imply (N, L, 3); return the probability that each stands and rolls."""
-        known = np.isfinite(implied).all(axis=-1)
-        implied = np.where(known[..., None], implied, 0.0)
-        standing = np.where(known, standing, 0.0)
-        information, weight = 1.0 / self._variance, standing
+        # In units of the noise of a foot.
+        information, weight = self._foot_variance / self._variance, standing
+        known, limit = information * self._velocity, DEGREES * self._foot_variance
         for _ in range(REWEIGHTINGS + 1):
-            total = information + (weight.sum(axis=1) / self._foot_variance)[:, None]
-            pull = (weight[..., None] * implied).sum(axis=1) / self._foot_variance
-            velocity = (information * self._velocity + pull) / total
+            total = information + weight.sum(axis=1)[:, None]
+            velocity = (known + (weight[:, None] @ implied)[:, 0]) / total
             error = implied - velocity[:, None]
-            distance = (error**2).sum(axis=-1) / self._foot_variance
-            weight = standing * (DEGREES / (DEGREES + distance)) ** 2
-        self._velocity, self._variance = velocity, 1.0 / total
+            weight = standing * (limit / (limit + (error * error).sum(axis=-1))) ** 2
+        self._velocity, self._variance = velocity, self._foot_variance / total
         return weight
 
     def _update_height(self, duration: Array, feet: FootObservations, contact: Array) -> None:
         self._height += (self._velocity * feet.up).sum(axis=1) * duration
         self._height_uncertainty += self._height_walk * duration
-        below = -np.nan_to_num((feet.contact_point * feet.up[:, None]).sum(axis=-1))
+        above = (feet.contact_point * feet.up[:, None]).sum(axis=-1)
         weight = contact / self._height_variance
         total = 1.0 / self._height_uncertainty + weight.sum(axis=1)
-        self._height = (self._height / self._height_uncertainty + (weight * below).sum(axis=1)) / total
+        below = np.where(contact > 0.0, -weight * above, 0.0).sum(axis=1)
+        self._height = (self._height / self._height_uncertainty + below) / total
         self._height_uncertainty = 1.0 / total
 
 
 def _standing(feet: FootObservations, expected: Array | None) -> Array:
     """Return the probability that each foot stands (N, L), from its load; without torques, from the expected load."""
-    load = feet.load if expected is None else np.where(np.isfinite(feet.load), feet.load, expected * feet.load.shape[1])
-    chance = 1.0 / (1.0 + np.exp(np.clip((STANDING_LOAD - load) / LOAD_WIDTH, -50.0, 50.0)))
-    share = np.clip(load / np.maximum(np.max(np.nan_to_num(load), axis=1, keepdims=True), STANDING_LOAD), 0.0, 1.0)
-    return np.where(np.isfinite(load), chance * share, 1.0)
+    load, known = feet.load, np.isfinite(feet.load)
+    if not known.all():
+        # As likely as not, where nothing is known of the load.
+        otherwise = STANDING_LOAD if expected is None else expected * load.shape[1]
+        load = np.where(known, load, otherwise)
+    chance = 1.0 / (1.0 + np.exp(np.minimum((STANDING_LOAD - load) / LOAD_WIDTH, 50.0)))
+    share = load / np.maximum(load.max(axis=1), STANDING_LOAD)[:, None]
+    return np.asarray(chance * np.maximum(share, 0.0))

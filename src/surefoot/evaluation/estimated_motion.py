@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.estimation.interface import MotionReadings, VelocityEstimator
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.robot import RobotDescription
-from surefoot.rotations import in_heading_frame, quat_yaw
+from surefoot.rotations import from_heading_frame, in_heading_frame, quat_yaw, rpy_quat
 from surefoot.task.trace import EpisodeTrace
 
 WINDOW = 0.5
 """Time [s] over which errors of the velocity are averaged: about a stride."""
+DISTANCE_ERROR = 0.03
+"""Error of the distance of a run, relative: in simulation with the ranges of table I."""
+NOTE = (
+    f"speed, distance and return are estimated from IMU and legs, as nothing measured the base's motion: within "
+    f"{DISTANCE_ERROR:.0%} of the distance in simulation; see docs/estimation.md"
+)
+"""What to know of numbers that come from estimated motion."""
 EstimatorFactory = Callable[[RobotDescription, int], VelocityEstimator]
 """Makes an estimator for a robot and a number of robots."""
 
@@ -44,15 +52,10 @@ def estimate_motion(
     Only the robot's own readings are used. A simulation records the torques of the present and all other readings as
     old as its control latency; its torques are delayed like them.
     """
-    columns = [_readings(trace) for trace in traces]
-    steps = max(trace.num_steps for trace in traces)
-    padded = {
-        name: np.stack(
-            [np.concatenate([one[name], np.repeat(one[name][-1:], steps - len(one[name]), 0)]) for one in columns],
-            axis=1,
-        )
-        for name in columns[0]
-    }
+    kept = [_kept_rows(trace) for trace in traces]
+    columns = [_readings(trace, rows) for trace, rows in zip(traces, kept, strict=True)]
+    steps = max(map(len, kept))
+    padded = {name: np.stack([_padded(one[name], steps) for one in columns], axis=1) for name in columns[0]}
     estimator, results = make(robot, len(traces)), []
     for step in range(steps):
         results.append(estimator.update(MotionReadings(**{name: values[step] for name, values in padded.items()})))
@@ -61,12 +64,80 @@ def estimate_motion(
         for name in ("velocity_base", "covariance", "height", "contact")
     }
     motions = []
-    for k, trace in enumerate(traces):
-        own = {name: values[k, : trace.num_steps] for name, values in stacked.items()}
+    for k, (trace, rows) in enumerate(zip(traces, kept, strict=True)):
+        of_row = np.searchsorted(rows, np.arange(trace.num_steps))
+        own = {name: values[k, of_row] for name, values in stacked.items()}
         level = in_level_frame(own["velocity_base"], trace.roll_pitch_yaw)
         variance = np.diagonal(own["covariance"], axis1=1, axis2=2)
         motions.append(EstimatedMotion(trace.time, level, variance, own["height"], own["contact"]))
     return motions
+
+
+def _padded(values: Array, steps: int) -> Array:
+    """Return values (T, ...) with the last row repeated up to a number of rows."""
+    return np.concatenate([values, np.repeat(values[-1:], steps - len(values), axis=0)])
+
+
+def _kept_rows(trace: EpisodeTrace) -> NDArray[np.int64]:
+    """Return the rows with readings of their own: of a missed step and the row before, the last one."""
+    rows = np.arange(trace.num_steps)
+    return rows[~np.isin(rows + 1, trace.meta.get("missed_steps", ()))]
+
+
+def _readings(trace: EpisodeTrace, rows: NDArray[np.int64]) -> dict[str, Array]:
+    torque = trace.motor_torque
+    # Only simulations know their latency.
+    if latency := trace.meta["params"].get("control_latency", 0.0):
+        torque = np.stack([np.interp(trace.time - latency, trace.time, one) for one in torque.T], axis=-1)
+    return {
+        "duration": np.diff(trace.time[rows], prepend=0.0),
+        "roll_pitch_yaw": trace.roll_pitch_yaw[rows],
+        "angular_velocity_base": trace.angular_velocity_base[rows],
+        "motor_angle": trace.motor_angle[rows],
+        "motor_velocity": trace.motor_velocity[rows],
+        "motor_torque": torque[rows],
+    }
+
+
+def in_level_frame(vector: Array, roll_pitch_yaw: Array) -> Array:
+    """Return base-frame vectors (..., 3) in the heading frame, for attitudes (..., 3) [rad]."""
+    sine, cosine = np.sin(roll_pitch_yaw), np.cos(roll_pitch_yaw)
+    (sr, sp), (cr, cp) = ((turn[..., 0], turn[..., 1]) for turn in (sine, cosine))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    below = sr * y + cr * z
+    return np.stack([cp * x + sp * below, cr * y - sr * z, cp * below - sp * x], axis=-1)
+
+
+def is_estimated(trace: EpisodeTrace) -> bool:
+    """Return whether the motion of the base in a run was estimated."""
+    return "base_position_world" in trace.meta.get("estimated", ())
+
+
+def with_estimated_motion(trace: EpisodeTrace, robot: RobotDescription) -> EpisodeTrace:
+    """Return a robot's run with the estimated motion of its base, if its motion was not measured.
+
+    The base starts at x = y = 0 with yaw 0, as with motion capture; meta says which columns are estimated. A run whose
+    motion is known, an imported log and a dry run are returned as they are.
+    """
+    known = np.isfinite(trace.base_position_world).any()
+    if known or trace.imported or trace.meta.get("dry_run"):
+        return trace
+    (motion,) = estimate_motion([trace], robot)
+    yaw = np.unwrap(trace.roll_pitch_yaw[:, 2])
+    yaw = yaw - yaw[0]
+    middle = (yaw + np.concatenate([yaw[:1], yaw[:-1]])) / 2
+    step = np.diff(trace.time, prepend=0.0)[:, None]
+    moved = from_heading_frame(motion.velocity[:, None, :2], middle)[:, 0] * step
+    place = np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)])
+    height = np.concatenate([motion.height[:1], motion.height])
+    attitude = np.column_stack([trace.roll_pitch_yaw[:, :2], yaw])
+    quat = np.array([rpy_quat(*row) for row in attitude[[0, *range(trace.num_steps)]].tolist()])
+    return replace(
+        trace,
+        base_position_world=np.column_stack([place, height]),
+        base_quat_world=quat,
+        meta={**trace.meta, "estimated": ["base_position_world", "base_quat_world"]},
+    )
 
 
 @dataclass(frozen=True)
@@ -127,26 +198,3 @@ def true_motion(trace: EpisodeTrace) -> Array:
     yaw = np.interp(at, rows, np.unwrap(quat_yaw(trace.base_quat_world)))
     velocity = np.diff(place, axis=0) / np.diff(rows)[:, None]
     return in_heading_frame(velocity, (yaw[:-1] + yaw[1:]) / 2)
-
-
-def _readings(trace: EpisodeTrace) -> dict[str, Array]:
-    torque = trace.motor_torque
-    latency = trace.meta["params"].get("control_latency", 0.0) if trace.meta["world"] not in ("robot", "log") else 0.0
-    if latency:
-        torque = np.stack([np.interp(trace.time - latency, trace.time, one) for one in torque.T], axis=-1)
-    return {
-        "duration": np.diff(trace.time, prepend=0.0),
-        "roll_pitch_yaw": trace.roll_pitch_yaw,
-        "angular_velocity_base": trace.angular_velocity_base,
-        "motor_angle": trace.motor_angle,
-        "motor_velocity": trace.motor_velocity,
-        "motor_torque": torque,
-    }
-
-
-def in_level_frame(vector: Array, roll_pitch_yaw: Array) -> Array:
-    """Return base-frame vectors (..., 3) in the heading frame, for attitudes (..., 3) [rad]."""
-    (sr, sp), (cr, cp) = (np.moveaxis(turn(roll_pitch_yaw[..., :2]), -1, 0) for turn in (np.sin, np.cos))
-    x, y, z = np.moveaxis(vector, -1, 0)
-    below = sr * y + cr * z
-    return np.stack([cp * x + sp * below, cr * y - sr * z, cp * below - sp * x], axis=-1)

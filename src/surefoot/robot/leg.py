@@ -66,11 +66,11 @@ class Legs(Protocol):
     def jacobian(self, angles: ArrayLike) -> Array:
         """Return the derivatives (..., L, 3, m) [m/rad] of `foot_position` by the motor angles."""
 
-    def foot_link_angles(self, angles: ArrayLike) -> Array:
+    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
         """Return the orientation (..., L, 2) [rad] of the feet's links in the base frame.
 
         Abduction about +x, then, in the leg's plane, the angle of the line from knee to foot about +y from straight
-        down.
+        down. `foot` (..., L, 3) is what `foot_position` returns for the angles.
         """
 
     def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
@@ -164,11 +164,13 @@ class FiveBar:
         plane = knee_speed + (np.linalg.solve(along, right) - knee_speed) * (self.foot / self.lower[1])
         return np.insert(plane, 1, 0.0, axis=-2)
 
-    def foot_link_angles(self, angles: ArrayLike) -> Array:
+    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
         """Return the orientation (..., 2) [rad] of the lower link of motor 2: no abduction, and its angle about +y."""
-        _, knee_2 = self.knees(angles)
-        x, z = _split(self.pin(angles) - knee_2)
-        return np.stack([np.zeros_like(x), np.arctan2(-x, -z)], -1)
+        _, theta_2 = _split(angles)
+        link = np.zeros((*theta_2.shape, 2))
+        ahead, above = foot[..., 0] + self.upper * np.sin(theta_2), foot[..., 2] - self.upper * np.cos(theta_2)
+        link[..., 1] = np.arctan2(-ahead, -above)
+        return link
 
     def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
         """Return the swing and extension (...) [rad] that bring the foot's end to (..., 2) [m] from the motor axis.

@@ -99,6 +99,8 @@ class FurtherMeta:
     """Of a robot: why the run ended, in a word."""
     what: str = ""
     """Of a robot: why the run ended, in a sentence."""
+    estimated: tuple[str, ...] = ()
+    """Of a robot: columns that were not measured, but estimated from the others."""
     missed_steps: tuple[int, ...] = ()
     """Of a robot: rows of control steps that were missed, from 0; they repeat the step before."""
     timing: dict[str, Any] = field(default_factory=dict)
