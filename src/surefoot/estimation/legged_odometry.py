@@ -26,7 +26,7 @@ STANDING_LOAD = 0.8
 often dragged: in a trot of the Minitaur a foot on the ground implies 0.3 m/s too little on average."""
 LOAD_WIDTH = 0.15
 """Width of the logistic curve over the load: friction and inertia of the links change torques by about as much."""
-FOOT_NOISE = 0.07
+FOOT_NOISE = 0.08
 """Standard deviation [sqrt(g l)] of the velocity that a standing foot implies: soft soles give way and spring back."""
 DEGREES = 3.0
 """Squared distance of a foot from the estimate, in standard deviations, at which its weight is a quarter. Less rejects
@@ -133,6 +133,4 @@ def _standing(feet: FootObservations, expected: Array | None) -> Array:
         # As likely as not, where nothing is known of the load.
         otherwise = STANDING_LOAD if expected is None else expected * load.shape[1]
         load = np.where(known, load, otherwise)
-    chance = 1.0 / (1.0 + np.exp(np.minimum((STANDING_LOAD - load) / LOAD_WIDTH, 50.0)))
-    share = load / np.maximum(load.max(axis=1), STANDING_LOAD)[:, None]
-    return np.asarray(chance * np.maximum(share, 0.0))
+    return np.asarray(1.0 / (1.0 + np.exp(np.minimum((STANDING_LOAD - load) / LOAD_WIDTH, 50.0))))
