@@ -23,7 +23,7 @@ ALLOWED: dict[str, set[str]] = {
     "evaluation": {"task", "policy", "world", "robot", "estimation"},
     "identify": {"world", "deploy", "robot", "actuator", "task.trace"},
     "deploy": {
-        *("robot", "policy", "world.interface"),
+        *("robot", "policy", "estimation", "world.interface"),
         *("task.contract_mapping", "task.policy_plugins", "task.commands", "task.observation", "task.gait"),
         *("task.component", "task.gait_components", "task.state"),
         *("task.height_scan", "task.trace", "task.partial_trace"),

@@ -49,6 +49,8 @@ class Snapshot:
     state_age: float
     state: State
     dropped: int
+    speed: tuple[float, float, float] | None = None
+    """Estimated speeds forward and to the left [m/s], and length of the path [m]; None while no policy runs."""
 
 
 class RunMonitor:
@@ -96,6 +98,8 @@ class ControlLoop:
         """Motor angles (M,) [rad] that were sent last, or duties if the guard's mode is that of duties."""
         self.inference = math.nan
         """Time [s] that the policy took in this step; set by whoever runs it."""
+        self.speed: tuple[float, float, float] | None = None
+        """Estimated speeds and path length, see `Snapshot`; set by whoever runs the policy."""
         self._phase, self._steps = "", 0
         self._states = link.states
         self._reported, self._reported_steps, self._reported_warnings = -math.inf, 0, 0
@@ -207,6 +211,7 @@ class ControlLoop:
                 state_age=self.link.state_age(),
                 state=state,
                 dropped=statistics.missing + statistics.damaged,
+                speed=self.speed,
             )
         )
         self._reported, self._reported_steps, self._longest_inference = now, self.timing.steps, math.nan
