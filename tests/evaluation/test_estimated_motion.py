@@ -10,7 +10,7 @@ import pytest
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.evaluation.conditions import Condition
 from surefoot.evaluation.estimated_motion import (
-    DISTANCE_ERROR,
+    DISTANCE_ERRORS,
     EstimationErrors,
     estimate_motion,
     in_level_frame,
@@ -46,7 +46,7 @@ def test_walking_robots_are_estimated_within_a_few_percent(walks):
     robot = walks[0].load_robot()
     errors = EstimationErrors.from_runs(walks, estimate_motion(walks, robot))
     assert errors.rmse[:2].max() < 0.05
-    assert errors.distance_rmse < DISTANCE_ERROR
+    assert errors.distance_rmse < DISTANCE_ERRORS["trot"]
     # The true motion that it is compared with is that of the runs: about what was commanded.
     assert np.mean([true_motion(trace)[50:, 0].mean() for trace in walks]) == pytest.approx(0.6, abs=0.1)
 
@@ -67,12 +67,14 @@ def test_a_run_without_motion_capture_gets_one_that_is_marked(walks):
     start, end = walks[0].base_position_world[[0, -1]]
     path = 0.6 * walks[0].duration
     # It began at the origin, heading along x.
-    np.testing.assert_allclose(estimated.base_position_world[-1, :2], (end - start)[:2], atol=2 * DISTANCE_ERROR * path)
+    np.testing.assert_allclose(
+        estimated.base_position_world[-1, :2], (end - start)[:2], atol=2 * DISTANCE_ERRORS["trot"] * path
+    )
     np.testing.assert_allclose(
         estimated.base_position_world[5:, 2].mean(), walks[0].base_position_world[5:, 2].mean(), atol=0.03
     )
     speeds = [measure_runs([trace]).speed[0] for trace in (walks[0], estimated)]
-    assert speeds[1] == pytest.approx(speeds[0], rel=2 * DISTANCE_ERROR)
+    assert speeds[1] == pytest.approx(speeds[0], rel=2 * DISTANCE_ERRORS["trot"])
 
 
 def test_rows_of_missed_steps_do_not_change_the_distance(walks):

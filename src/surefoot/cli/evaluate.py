@@ -163,7 +163,7 @@ def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation
         option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
         raise SurefootError(f"--trace and {option} are given; recorded runs are measured as they are, nothing is run")
     from surefoot.api.results import Evaluation
-    from surefoot.evaluation.estimated_motion import DISTANCE_ERROR, is_estimated, with_estimated_motion
+    from surefoot.evaluation.estimated_motion import DISTANCE_ERRORS, is_estimated, with_estimated_motion
     from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.robot import RobotDescription
 
@@ -179,5 +179,5 @@ def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation
     traces = [with_estimated_motion(trace, robot) for _, trace in recorded]
     about: dict[str, Any] = {"traces": [str(path) for path, _ in recorded]}
     if estimated := [str(path) for (path, _), trace in zip(recorded, traces, strict=True) if is_estimated(trace)]:
-        about |= {"estimated": estimated, "estimated_distance_error": DISTANCE_ERROR}
+        about |= {"estimated": estimated, "estimated_distance_errors": DISTANCE_ERRORS}
     return Evaluation.from_traces(traces, robot), robot, about

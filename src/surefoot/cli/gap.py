@@ -225,7 +225,7 @@ def _report(
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
-    from surefoot.evaluation.estimated_motion import DISTANCE_ERROR, NOTE, is_estimated
+    from surefoot.evaluation.estimated_motion import DISTANCE_ERRORS, NOTE, is_estimated
     from surefoot.evaluation.gap import PolicyGap, gap_text
     from surefoot.evaluation.runs import measure_runs
     from surefoot.report.figures.gap import gap_figure
@@ -289,7 +289,7 @@ def _report(
             for one in candidates
         ],
         "pooled": plain[pooled[0].name] if pooled else None,
-        **({"estimated": estimated, "estimated_distance_error": DISTANCE_ERROR} if estimated else {}),
+        **({"estimated": estimated, "estimated_distance_errors": DISTANCE_ERRORS} if estimated else {}),
         "files": [str(file) for file in files],
     }
     print_json(result)
