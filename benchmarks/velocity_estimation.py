@@ -117,10 +117,13 @@ def main(command: Command) -> None:
         row = measure(name, command.world, command.episodes, command.seed, command.threads)
         table[row["case"]] = row
         print(*row.values(), flush=True)
-        order = list(CASES)
-        write_csv(
-            path, sorted(table.values(), key=lambda one: ("/" in one["case"], order.index(one["case"].split("/")[0])))
-        )
+        write_csv(path, sorted(table.values(), key=_place))
+
+
+def _place(row: dict[str, Any]) -> tuple[bool, int]:
+    """Return where a row stands: MuJoCo first, cases in their order."""
+    case, _, world = str(row["case"]).partition("/")
+    return bool(world), list(CASES).index(case)
 
 
 if __name__ == "__main__":
