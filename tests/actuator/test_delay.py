@@ -1,4 +1,4 @@
-"""Delayed readings of signals that are known in closed form."""
+"""Delayed readings of signals with a closed form."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from surefoot.actuator.delay import push_kernel, read_kernel
 
 
 class History:
-    """The history of one robot's samples of two numbers."""
+    """History of one robot with samples of two values."""
 
     def __init__(self, times=(), capacity: int = 64) -> None:
         self.times, self.samples, self.count = np.zeros(capacity), np.zeros((capacity, 2)), 0
@@ -29,7 +29,7 @@ class History:
 
 
 def ramp(time: float) -> np.ndarray:
-    """Two straight lines, (2,)."""
+    """Return the values of two linear functions (2,)."""
     return np.array([3.0 * time + 1.0, -2.0 * time])
 
 

@@ -1,4 +1,4 @@
-"""The live display: what it shows, and that it never makes the control loop wait."""
+"""The live display: its content, and that it never delays the control loop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from surefoot.deploy.display import LiveDisplay, PlainLines, StatusPanel, show
+from surefoot.deploy.display import LiveDisplay, PlainLines, StatusPanel, draw_messages
 from surefoot.deploy.loop import Snapshot
 
 
@@ -33,7 +33,7 @@ def snapshot(a_state) -> Snapshot:
     )
 
 
-def test_the_panel_shows_what_the_messages_hold():
+def test_the_panel_shows_the_contents_of_messages():
     panel = StatusPanel()
     assert dict(panel.rows())["loop"] == dict(panel.rows())["lateness"] == "-"
     panel.update({"title": "trot on minitaur", "recording": "recording to run_000.npz"})
@@ -64,7 +64,7 @@ def test_lines_are_drawn_and_other_lines_skipped():
         '{"phase": "stand up", "left": 1.5}',
         '{"warning": "hot"}',
     )
-    show(lines, stream)
+    draw_messages(lines, stream)
     for text in ("trot on minitaur", "stand up, 1.5 s left", "! hot"):
         assert text in stream.getvalue()
 
@@ -79,7 +79,7 @@ def test_messages_reach_the_displays_process(snapshot, monkeypatch):
     message = json.loads(sent[0])
     assert message["lateness"] == [0.01, 0.02, 1.5]
     assert message["inference"] == 0.095
-    # A hundred steps fit into one message: more than 4096 bytes a pipe may take in part.
+    # A hundred steps fit into one message of 4096 bytes, which a pipe accepts as a whole.
     display.tick(replace(snapshot, lateness=(1.234567,) * 100))
     assert len(json.loads(sent[1])["lateness"]) == 100
     assert all(len(data) <= 4096 for data in sent)

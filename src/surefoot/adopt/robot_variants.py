@@ -1,7 +1,7 @@
-"""What surefoot guesses of the robot that an adopted policy was trained on, as changes of the simulated robot.
+"""Variants of the simulated robot in properties of an adopted policy's training that are unknown.
 
-Age of the readings, rotor inertia and friction stand in no configuration of a policy. A policy that follows commands on
-a robot with other values of these does not show a mistake in its configuration.
+No policy configuration contains the latency of readings, rotor inertia or friction. If a policy follows commands on a
+robot with other values, its configuration may be right.
 """
 
 from __future__ import annotations
@@ -13,27 +13,27 @@ from itertools import product
 from surefoot.arrays import Array
 from surefoot.robot import PhysicalParams
 
-_AGES = (0.0, 0.01, 0.02)
-"""Ages of the readings that trainings have [s]."""
+_LATENCIES = (0.0, 0.01, 0.02)
+"""Usual latencies of readings in training [s]."""
 _FACTORS = (0.5, 1.0, 2.0)
-"""Factors of rotor inertia and of friction in the joints."""
-_GROUND = (0.6, 1.5)
-"""Factors of the friction of the feet."""
+"""Factors of rotor inertia and joint friction."""
+_GROUND_FRICTION_FACTORS = (0.6, 1.5)
+"""Factors of foot friction."""
 _JOINT_FRICTION = ("motor_friction", "motor_viscous_friction", "load_friction")
 
 
 @dataclass(frozen=True)
-class RobotGuess:
-    """A robot that differs from the simulated one in what surefoot guesses."""
+class RobotVariant:
+    """A robot that differs from the simulated robot in properties that surefoot can only guess."""
 
     latency: float | None = None
-    """Age of the readings [s]; None: as it is."""
+    """Latency of the readings [s]; None: unchanged."""
     rotor: float = 1.0
-    """Factor of the inertia of the rotors."""
+    """Factor of the rotor inertia."""
     friction: float = 1.0
-    """Factor of the friction in the joints."""
+    """Factor of the joint friction."""
     ground: float = 1.0
-    """Factor of the friction of the feet."""
+    """Factor of the foot friction."""
 
     @property
     def count(self) -> int:
@@ -42,7 +42,7 @@ class RobotGuess:
 
     @property
     def text(self) -> str:
-        """The change in words."""
+        """Description of the differences."""
         parts = [] if self.latency is None else [f"readings {1e3 * self.latency:g} ms old"]
         factors = {"rotor inertia": self.rotor, "friction of the joints": self.friction}
         factors["friction of the feet"] = self.ground
@@ -50,7 +50,7 @@ class RobotGuess:
         return " and ".join(parts)
 
     def params(self, nominal: PhysicalParams) -> dict[str, Array]:
-        """Return the parameters that differ, for the robots of `nominal`."""
+        """Return the physical parameters that differ, for the robots in `nominal`."""
         changed = {} if self.latency is None else {"control_latency": nominal.control_latency * 0 + self.latency}
         if self.rotor != 1.0:
             changed["rotor_inertia"] = nominal.rotor_inertia * self.rotor
@@ -61,11 +61,11 @@ class RobotGuess:
         return changed
 
 
-def robot_guesses(latency: float) -> Sequence[RobotGuess]:
-    """Return the robots to try for a policy whose readings are simulated with an age `latency` [s]."""
-    ages = [age for age in _AGES if abs(age - latency) > 1e-3]
+def robot_variants(latency: float) -> Sequence[RobotVariant]:
+    """Return the variants to try for a simulated robot whose readings have the given latency [s]."""
+    ages = [age for age in _LATENCIES if abs(age - latency) > 1e-3]
     bases = (None, ages[0] if ages[0] == 0.0 else None)
-    guesses = [RobotGuess(age) for age in ages]
-    guesses += [RobotGuess(*one) for one in product(bases, _FACTORS, _FACTORS)]
-    guesses += [RobotGuess(age, ground=ground) for age, ground in product(bases, _GROUND)]
-    return [guess for guess in dict.fromkeys(guesses) if guess != RobotGuess()]
+    variants = [RobotVariant(age) for age in ages]
+    variants += [RobotVariant(*one) for one in product(bases, _FACTORS, _FACTORS)]
+    variants += [RobotVariant(age, ground=ground) for age, ground in product(bases, _GROUND_FRICTION_FACTORS)]
+    return [variant for variant in dict.fromkeys(variants) if variant != RobotVariant()]

@@ -1,4 +1,4 @@
-"""Invalid words of a command line are refused in one line, before anything is simulated or written."""
+"""Invalid words of a command line are rejected in one line, before anything is simulated or written."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 
 import pytest
-from processes import refused, surefoot
-from refusals import FILES, REFUSALS, REPOSITORY, MakeRun, Refusal
+from processes import assert_rejected, surefoot
+from rejected_commands import FILES, REJECTED_COMMANDS, REPOSITORY, MakeRun, RejectedCommand
 
 from surefoot.api.extras import install_command
 
@@ -16,11 +16,11 @@ from surefoot.api.extras import install_command
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize(
     "refusal",
-    REFUSALS,
-    ids=[re.sub(r"[^ -~]", "?", f"{one.hidden and f'no {one.hidden}: '}{one.line}") for one in REFUSALS],
+    REJECTED_COMMANDS,
+    ids=[re.sub(r"[^ -~]", "?", f"{one.hidden and f'no {one.hidden}: '}{one.line}") for one in REJECTED_COMMANDS],
 )
-def test_a_command_is_refused_in_one_line(
-    refusal: Refusal, make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_command_is_rejected_in_one_line(
+    refusal: RejectedCommand, make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for package in refusal.needs:
         pytest.importorskip(package)
@@ -38,5 +38,5 @@ def test_a_command_is_refused_in_one_line(
     before = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
     done = surefoot(*words, cwd=tmp_path)
     done.stderr = "".join(line for line in done.stderr.splitlines(True) if ": warning: " not in line)
-    refused(done, *parts)
+    assert_rejected(done, *parts)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")} == before

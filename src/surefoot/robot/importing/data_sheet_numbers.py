@@ -1,4 +1,4 @@
-"""Numbers in an imported robot's sheet: the file's, with their origin, and rules for missing ones."""
+"""Lines of an imported robot's data sheet: numbers of the file and estimates of missing ones, with their origins."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot.actuator import PLACEHOLDER_TORQUE
+from surefoot.robot.actuator import MIN_PLACEHOLDER_TORQUE
+from surefoot.robot.data_sheet import GRAVITY
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.resting_poses import is_standing
-from surefoot.robot.importing.rules import GUESSED, Rule, actuator_rules, damping_rule, one_line
-from surefoot.robot.importing.units import PLACEHOLDER_SPEED, explain_speeds
-from surefoot.robot.sheet import GRAVITY
+from surefoot.robot.importing.rules import GUESS_PREFIX, Rule, actuator_rules, damping_rule, one_line
+from surefoot.robot.importing.units import MIN_PLACEHOLDER_SPEED, explain_speeds
 
 _MAX_SPREAD = 0.06
-"""How far the legs' poses of a keyframe may be from their mean, in rad and lengths of the straight leg."""
+"""Maximum deviation of a leg's pose in a keyframe from the mean over legs, in leg space."""
 
 
 def motor_order(robot: ImportedRobot) -> str:
-    """Return the line with the order of the motors."""
+    """Return the line with the motor order."""
     if robot.motor_order:
         return f"order = {json.dumps(robot.motor_order)}  # the order of the actuators in {one_line(robot.path.name)}"
     names: tuple[str, ...] = sum(robot.joints, ())
-    return f"order = {json.dumps(names)}  # {GUESSED}leg by leg; take the order of the robot's own interface"
+    return f"order = {json.dumps(names)}  # {GUESS_PREFIX}leg by leg; take the order of the robot's own interface"
 
 
 def leg_space(robot: ImportedRobot) -> list[str]:
-    """Return lines with the ranges of commands, which are what all joints can do, within usual ranges."""
+    """Return lines with the command ranges, which are the usual ranges restricted to the limits of all joints."""
     upper, lower = np.linalg.norm(robot.links, axis=-1)
     bends = np.sort(np.abs(robot.knee_bends), axis=1)
     bends[np.prod(robot.knee_bends, axis=1) < 0, 0] = 0.0  # the straight leg is in the knee's range
@@ -39,7 +39,7 @@ def leg_space(robot: ImportedRobot) -> list[str]:
     abducts = len(robot.joints[0]) == 3
     abduction = float(np.fmin.reduce(np.abs(robot.limits[:, 0]), axis=None, initial=0.5))
     rest = [*[0.0] * (1 + abducts), round(min(max(0.75, low + 0.05), high - 0.05), 3)]
-    origin = f"{GUESSED}stands with legs straight down"
+    origin = f"{GUESS_PREFIX}stands with legs straight down"
     lows, highs = [-abduction, -1.0, low][-len(rest) :], [abduction, 1.0, high][-len(rest) :]
     if (standing := standing_pose(robot)) is not None:
         source, pose = standing
@@ -54,10 +54,7 @@ def leg_space(robot: ImportedRobot) -> list[str]:
 
 
 def standing_pose(robot: ImportedRobot) -> tuple[str, Array] | None:
-    """Return the first keyframe in which the robot stands, all legs alike: its name, and the pose in leg space.
-
-    None without one.
-    """
+    """Return source and mean leg pose of the first keyframe in which the robot stands with equal legs, or None."""
     for source, angles in robot.poses:
         if not source.startswith("keyframe") or not is_standing(source) or not np.isfinite(angles).all():
             continue
@@ -68,15 +65,15 @@ def standing_pose(robot: ImportedRobot) -> tuple[str, Array] | None:
 
 
 def actuator(robot: ImportedRobot) -> list[str]:
-    """Return lines with the actuators' data: the file's, and rules in place of missing ones and placeholders."""
+    """Return lines with actuator data: the file's numbers, and estimates for missing numbers and placeholders."""
     mass, length, shape = robot.mass, robot.length, robot.torque.shape
     rules, file = actuator_rules(mass, length), f"from {robot.path.name}"
 
     def line(key: str, values: ArrayLike, comment: str) -> str:
-        """Return a line with a number for all motors, one for each motor of a leg, or one for each motor."""
+        """Return a line with one number for all motors, one per motor of a leg, or one per motor."""
         numbers = np.array([[float(f"{value:.4g}") for value in row] for row in np.broadcast_to(values, shape)])
         if np.ptp(numbers, axis=0).any():
-            # In the order of the motors.
+            # Values in the motor order.
             by_name = dict(zip(sum(robot.joints, ()), numbers.ravel().tolist(), strict=True))
             value = [by_name[name] for name in robot.motor_order or by_name]
         else:
@@ -89,14 +86,14 @@ def actuator(robot: ImportedRobot) -> list[str]:
         if real.all():
             return line(key, numbers, f"{rule.unit}, {file}")
         some = "" if not real.any() else f" for {_names(robot, ~real)}, else {file}"
-        return line(key, numbers, f"{GUESSED}{rule.text}{why}{some} ({rule.unit})")
+        return line(key, numbers, f"{GUESS_PREFIX}{rule.text}{why}{some} ({rule.unit})")
 
     has_kp, has_kd = np.isfinite(robot.kp), np.isfinite(robot.kd)
     kp = np.where(has_kp, robot.kp, rules["kp"].value)
     kd_rule = damping_rule(float(kp.mean()), length)
     stiffness = mass * GRAVITY * length
-    real_torque = (robot.torque > 0) & (robot.torque < PLACEHOLDER_TORQUE * stiffness)
-    real_speed = (robot.speed > 0) & (robot.speed < PLACEHOLDER_SPEED)
+    real_torque = (robot.torque > 0) & (robot.torque < MIN_PLACEHOLDER_TORQUE * stiffness)
+    real_speed = (robot.speed > 0) & (robot.speed < MIN_PLACEHOLDER_SPEED)
     speed = np.where(real_speed, robot.speed, rules["speed_limit"].value)
     why_speed = explain_speeds(robot.speed[~real_speed]) if not real_speed.all() else ""
     return [
@@ -104,7 +101,7 @@ def actuator(robot: ImportedRobot) -> list[str]:
         stated("kd", robot.kd, has_kd, kd_rule),
         stated("torque_limit", robot.torque, real_torque, rules["torque_limit"], "; the file has no real limit"),
         stated("speed_limit", robot.speed, real_speed, rules["speed_limit"], f"; {why_speed}"),
-        line("full_torque_speed", 0.5 * speed, f"{GUESSED}half of the speed limit (rad/s)"),
+        line("full_torque_speed", 0.5 * speed, f"{GUESS_PREFIX}half of the speed limit (rad/s)"),
         stated("rotor_inertia", robot.rotor_inertia, robot.rotor_inertia > 0, rules["rotor_inertia"]),
         line("friction", robot.friction, f"N m, Coulomb, {_friction_origin(robot, robot.friction)}"),
         line("viscous_friction", robot.damping, f"N m s/rad, {_friction_origin(robot, robot.damping)}"),
@@ -112,7 +109,7 @@ def actuator(robot: ImportedRobot) -> list[str]:
 
 
 def _friction_origin(robot: ImportedRobot, values: Array) -> str:
-    """Return where a friction is from."""
+    """Return the origin of friction values as text."""
     if values.any():
         return f"from {robot.path.name}"
     is_kd = values is robot.damping and robot.damping_is_kd
@@ -120,6 +117,6 @@ def _friction_origin(robot: ImportedRobot, values: Array) -> str:
 
 
 def _names(robot: ImportedRobot, which: NDArray[np.bool_]) -> str:
-    """Return the names of some joints, few of them."""
-    names: Sequence[str] = [name for name, one in zip(sum(robot.joints, ()), which.ravel(), strict=True) if one]
+    """Return the names of selected joints as text, at most three and the number of the others."""
+    names: Sequence[str] = [name for name, chosen in zip(sum(robot.joints, ()), which.ravel(), strict=True) if chosen]
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")

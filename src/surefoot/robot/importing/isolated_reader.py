@@ -1,4 +1,4 @@
-"""The reader in a process of its own: a stranger's file may crash MuJoCo's parser, fill the memory or never end."""
+"""Reader in a separate process with limits: an untrusted file may crash MuJoCo's parser, fill memory or never end."""
 
 from __future__ import annotations
 
@@ -17,64 +17,64 @@ import numpy as np
 from surefoot import sandbox
 from surefoot.errors import SurefootError
 from surefoot.robot.appearance import VisualPart
+from surefoot.robot.importing.import_errors import check_kind, check_suffix
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.named_files import check_named_files, find_mesh
-from surefoot.robot.importing.refusals import check_kind, check_suffix
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.urdf_file import read_xml
 from surefoot.sandbox import Limits
 
-LIMITS = Limits(memory=2 << 30, time=4.0, patience=20.0)
-"""What reading a description may take, besides the time for its meshes. Robots take a tenth of a second."""
+LIMITS = Limits(memory=2 << 30, time=4.0, timeout=20.0)
+"""Limits for reading a description, without the time for its meshes. Typical robots take a tenth of a second."""
 _MESH_SPEED = 5e6
-"""Bytes of meshes for which the process has another second; it reads twice as many."""
+"""Size of meshes per additional second of time limit [byte/s]; the reader is about twice as fast."""
 _MAX_MESH_SECONDS = 120.0
 _PACKAGES = ("mujoco", "trimesh", "collada", "fast_simplification")
-"""Packages that the reader needs."""
+"""Packages that the reader imports."""
 _ARRAYS = (
-    *("places", "axes", "limits", "kp", "kd", "torque", "speed", "damping", "friction", "rotor_inertia"),
+    *("axis_points", "axes", "limits", "kp", "kd", "torque", "speed", "damping", "friction", "rotor_inertia"),
     *("feet", "foot_radius"),
 )
-"""Fields of an `ImportedRobot` that are arrays."""
+"""Array fields of `ImportedRobot`."""
 
 
 def read_robot(path: Path, forward: str | None = None, meshes: bool = True, limits: Limits = LIMITS) -> ImportedRobot:
-    """Read a quadruped from a URDF or MJCF in a process of its own.
+    """Read a quadruped from a URDF or MJCF in a separate process.
 
     Args:
         path: the file.
         forward: see `reader.read_robot`.
-        meshes: see there.
-        limits: of the process, which has more time where the description names large meshes.
+        meshes: see `reader.read_robot`.
+        limits: limits of the process; large meshes extend the time limit.
 
     Raises:
-        SurefootError: as of `reader.read_robot`, or the process needed more than its limits or crashed.
+        SurefootError: see `reader.read_robot`; or the process exceeded its limits or crashed.
     """
     for package in _PACKAGES:
         if find_spec(package) is None:
-            importlib.import_module(package)  # raises the error that says what to install
+            importlib.import_module(package)  # raises the error with the command to install it
     size = _check(path, meshes)
     extra = min(size / _MESH_SPEED, _MAX_MESH_SECONDS)
-    limits = Limits(limits.memory, limits.time + extra, limits.patience + 2 * extra)
+    limits = Limits(limits.memory, limits.time + extra, limits.timeout + 2 * extra)
     words = [str(path), forward or "", "meshes" if meshes else "", str(limits.memory), str(math.ceil(limits.time))]
     ending = sandbox.run_module(__name__, words, limits)
     if ending.code == 2:
         raise SurefootError(ending.message)
     if ending.code:
-        # MuJoCo's bindings say so where memory is refused.
+        # MuJoCo's bindings raise an "unknown exception" if an allocation fails.
         reason = "its memory was used up" if "unknown exception" in ending.reason else ending.reason
         raise SurefootError(
             f"{path}: can't be read within {limits.memory / 2**30:g} GiB and {limits.time:.3g} s ({reason}); "
-            "the description of a robot needs much less: leave out what is no part of the robot"
+            "the description of a robot needs much less: remove what is not part of the robot"
         )
     try:
         return decode(ending.output, path)
     except (ValueError, LookupError, TypeError, EOFError) as error:
-        raise SurefootError(f"{path}: the process that reads it gave no robot: {error}") from error
+        raise SurefootError(f"{path}: the process that reads it returned no robot: {error}") from error
 
 
 def _check(path: Path, meshes: bool) -> int:
-    """Check a description and the files that it names as far as no parser in C is needed; return their size [byte]."""
+    """Check a description and the files that it names without a C parser; return the files' size [byte]."""
     check_suffix(path)
     root = read_xml(path)
     check_kind(root, path)
@@ -85,19 +85,19 @@ def _check(path: Path, meshes: bool) -> int:
         try:
             files.add(find_mesh(mesh.get("filename", ""), path))
         except (SurefootError, OSError, ValueError):
-            continue  # the reader notes it
+            continue  # the reader adds a note
     return sum(file.stat().st_size for file in files)
 
 
 def encode(robot: ImportedRobot) -> bytes:
-    """Return a robot as arrays and text, which can be read without running code; without its path."""
+    """Serialize a robot without its path as arrays and text, which can be read without running code."""
     bodies = [robot.base, *(body for leg in robot.bodies for body in leg)]
     meta = {
         "name": robot.name,
         "forward": robot.forward,
         "joints": robot.joints,
         "poses": [source for source, _ in robot.poses],
-        "undrawn": robot.undrawn,
+        "links_without_mesh": robot.links_without_mesh,
         "damping_is_kd": robot.damping_is_kd,
         "motor_order": robot.motor_order,
         "notes": robot.notes,
@@ -119,10 +119,10 @@ def encode(robot: ImportedRobot) -> bytes:
 
 
 def decode(data: bytes, path: Path) -> ImportedRobot:
-    """Return the robot of a file that `encode` made.
+    """Deserialize the output of `encode`.
 
     Raises:
-        ValueError, LookupError, TypeError or EOFError: other bytes.
+        ValueError, LookupError, TypeError or EOFError: the data is invalid.
     """
     with np.load(io.BytesIO(data)) as archive:
         arrays = dict(archive)
@@ -148,7 +148,7 @@ def decode(data: bytes, path: Path) -> ImportedRobot:
             for k, (link, color) in enumerate(meta["parts"])
         ),
         poses=tuple(zip(meta["poses"], arrays["poses"], strict=True)),
-        undrawn=tuple(meta["undrawn"]),
+        links_without_mesh=tuple(meta["links_without_mesh"]),
         damping_is_kd=meta["damping_is_kd"],
         motor_order=tuple(meta["motor_order"]),
         notes=tuple(meta["notes"]),
@@ -157,9 +157,13 @@ def decode(data: bytes, path: Path) -> ImportedRobot:
 
 
 def main(words: Sequence[str]) -> int:
-    """Read the file of the first word and write the robot to standard output; 2 after an error, which is printed."""
+    """Entry point of the process: read the file in the first argument and write the robot to standard output.
+
+    Returns:
+        2 after an error, which is printed.
+    """
     file, forward, meshes, memory, time = words
-    output = sandbox.take_output()
+    output = sandbox.claim_stdout()
     from surefoot.robot.importing import reader
 
     sandbox.limit_resources(Limits(int(memory), float(time), 0.0))

@@ -1,4 +1,4 @@
-"""Policies and robots that ship, edited."""
+"""Modified copies of released policies and robots."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from surefoot.policy.digest import add_digest
 from surefoot.robot import RobotDescription
 
 
-def edited_policy(
+def modified_policy(
     path: Path,
     change: Callable[[dict[str, Any]], object] = lambda contract: None,
     policy: str | Path = "gallop",
     graph: Callable[[Any], object] = lambda graph: None,
 ) -> Path:
-    """Write a policy whose contract and graph are changed, with a digest that matches."""
+    """Write a policy with a modified contract and graph and a matching digest."""
     onnx = pytest.importorskip("onnx")
     model = onnx.load(find_policy(str(policy)))
     contract = json.loads(next(entry.value for entry in model.metadata_props if entry.key == METADATA_KEY))
@@ -34,7 +34,7 @@ def edited_policy(
 
 
 def maxitaur(folder: Path) -> Path:
-    """Copy the robot minitaur into a folder and call it maxitaur; return the folder."""
+    """Copy the robot minitaur to a folder under the name maxitaur; return the folder."""
     shutil.copytree(RobotDescription.load("minitaur").folder, folder)
     sheet = folder / "robot.toml"
     sheet.write_text(sheet.read_text().replace('name = "minitaur"', 'name = "maxitaur"'))

@@ -1,4 +1,4 @@
-"""What the command line refuses in one line, with the files that it names."""
+"""Command lines that are rejected in one line, and the files that they use."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from edited import edited_policy, maxitaur
+from shipped_variants import maxitaur, modified_policy
 
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -19,45 +19,47 @@ DDS = "--link dds --interface lo"
 
 
 @dataclass(frozen=True)
-class Refusal:
-    """A command line that ends with one line on standard error, and leaves no file behind."""
+class RejectedCommand:
+    """Command line that ends with one line on standard error, without writing a file."""
 
     line: str
-    """Words after `surefoot`; those that are names in `FILES` are made first, REPOSITORY is the clone's folder."""
+    """Arguments of `surefoot`; files named in `FILES` are created first, REPOSITORY is the folder of the clone."""
     parts: tuple[str, ...]
-    """What the line on standard error holds."""
+    """Texts in the line on standard error."""
     needs: tuple[str, ...] = ()
-    """Packages without which something else is said."""
+    """Packages that are required for this message."""
     hidden: str = ""
-    """A package that is not there."""
+    """Package that is hidden, as if it were not installed."""
 
 
-def of(command: str, lines: dict[str, str | tuple[str, ...]], *needs: str, hidden: str = "") -> list[Refusal]:
-    """Return the refusals of a command, by its other words."""
+def rejected(
+    command: str, lines: dict[str, str | tuple[str, ...]], *needs: str, hidden: str = ""
+) -> list[RejectedCommand]:
+    """Return rejected command lines of a command, from a dict of their other arguments."""
     return [
-        Refusal(f"{command} {words}".strip(), (parts,) if isinstance(parts, str) else parts, needs, hidden)
+        RejectedCommand(f"{command} {words}".strip(), (parts,) if isinstance(parts, str) else parts, needs, hidden)
         for words, parts in lines.items()
     ]
 
 
-# Files: their text, or what writes them with the fixture `make_run`.
+# Files: their text, or a function that writes them with the fixture `make_run`.
 
 MakeRun = Callable[..., EpisodeTrace]
 Change = Callable[[dict[str, Any]], object]
 
 
-def policy(change: Change, name: str = "trot") -> Callable[[Path, MakeRun], object]:
-    """Return what writes a policy that ships with another contract."""
-    return lambda path, make_run: edited_policy(path, change, name)
+def modify_contract(change: Change, name: str = "trot") -> Callable[[Path, MakeRun], object]:
+    """Return a function that writes a released policy with a modified contract."""
+    return lambda path, make_run: modified_policy(path, change, name)
 
 
-def changed(**values: Any) -> Callable[[Path, MakeRun], object]:
-    """Return what writes the trot with other values in its contract; those of `task` add to the task."""
+def modify_values(**values: Any) -> Callable[[Path, MakeRun], object]:
+    """Return a function that writes the trot with other values in its contract; `task` updates the task."""
 
     def change(contract: dict[str, Any]) -> None:
         contract |= values | {"task": contract["task"] | values.get("task", {})}
 
-    return policy(change)
+    return modify_contract(change)
 
 
 def exchange_columns(contract: dict[str, Any]) -> None:
@@ -71,17 +73,17 @@ def widen_feedback(contract: dict[str, Any]) -> None:
 
 def write_policy_of_maxitaur(path: Path, make_run: MakeRun) -> None:
     robot = maxitaur(path.parent / "maxitaur")
-    edited_policy(path, lambda contract: contract.update(robot="maxitaur", description=str(robot)), "trot")
+    modified_policy(path, lambda contract: contract.update(robot="maxitaur", description=str(robot)), "trot")
 
 
 def write_stale_policy(path: Path, make_run: MakeRun) -> None:
-    """Write the trot with another rate, and the digest of before."""
+    """Write the trot with another rate and the old digest."""
     text = (REPOSITORY / "policies/trot.onnx").read_bytes()
     path.write_bytes(text.replace(b'"control_step": 0.006', b'"control_step": 0.012'))
 
 
 def write_unnormalized_policy(path: Path, make_run: MakeRun) -> None:
-    """Write the trot without its first two nodes, and the digest of before."""
+    """Write the trot without its first two nodes and with the old digest."""
     import onnx
 
     model = onnx.load(REPOSITORY / "policies/trot.onnx")
@@ -91,7 +93,7 @@ def write_unnormalized_policy(path: Path, make_run: MakeRun) -> None:
 
 
 def write_their_network(path: Path, make_run: MakeRun) -> None:
-    from foreign import perceptron
+    from third_party_policies import perceptron
 
     joints = [f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
     properties = {
@@ -105,13 +107,13 @@ def write_their_network(path: Path, make_run: MakeRun) -> None:
     path.write_bytes(perceptron(45, properties=properties))
 
 
-def recorded(**meta: Any) -> Callable[[Path, MakeRun], object]:
-    """Return what writes a run in which nothing moves."""
+def resting_run(**meta: Any) -> Callable[[Path, MakeRun], object]:
+    """Return a function that writes a run in which nothing moves."""
     return lambda path, make_run: make_run(**meta).save(path)
 
 
-def swung(**meta: Any) -> Callable[[Path, MakeRun], object]:
-    """Return what writes a run in which legs swing."""
+def swinging_run(**meta: Any) -> Callable[[Path, MakeRun], object]:
+    """Return a function that writes a run in which legs swing."""
 
     def write(path: Path, make_run: MakeRun) -> None:
         from recordings import swinging
@@ -153,7 +155,7 @@ FILES: dict[str, str | Callable[[Path, MakeRun], object]] = {
     "list.yaml": "train: [1]\n",
     "ranges.yaml": "randomize: {voltage: [16, 15]}\n",
     "long-legs.yaml": "reference: {kind: sine, extension: {amplitude: 2.0, frequency: 2.0, offset: 1.6}}\n",
-    # Gaits made by hand.
+    # Handcrafted gaits.
     "foot.yaml": FOOT,
     "hand.yaml": f"{FOOT}handcrafted: {{}}\n",
     "deep.yaml": f"{FOOT}handcrafted: {{about: {{parameters: {{depth: deep}}}}}}\n",
@@ -165,40 +167,40 @@ FILES: dict[str, str | Callable[[Path, MakeRun], object]] = {
     "study-primary.yaml": f"{{{GROUP}, primary: gap}}\n",
     "study-bars.yaml": f"{{{GROUP}, bars: {{all: [a]}}}}\n",
     "study-robot.yaml": "groups: {a: {train: {task: {observations: [smell]}}}}\n",
-    # Spaces of a search.
+    # Search spaces.
     "space-key.yaml": "ppo.leg: {low: 0, high: 1}\n",
     "space-reversed.yaml": "ppo.gamma: {low: 0.9, high: 0.8}\n",
     "space-robot.yaml": "task.robot: {choices: [minitaur, centipede]}\n",
-    # Parameters of a robot.
+    # Physical parameters.
     "cat.toml": 'robot = "cat"\n[params]\nvoltage = 15\n',
     "range.toml": "[params]\nmotor_strength = [1, 1, 1, 9, 1, 1, 1, 1]\n",
     "short.toml": "[params]\nmotor_strength = [1, 0.9]\n",
     "step.toml": "[params]\ncontrol_step = 0.008\n",
     # Policies.
-    "columns.onnx": policy(exchange_columns, "gallop"),
-    "wide.onnx": policy(widen_feedback),
-    "nan.onnx": changed(control_latency=float("nan")),
-    "early.onnx": changed(control_latency=-0.02),
-    "tilting.onnx": changed(task={"fall_angle": 1e9}),
-    "odd.onnx": changed(name="a/b c"),
-    "above.onnx": changed(name=".."),
-    "outside.onnx": changed(name="../../x"),
+    "columns.onnx": modify_contract(exchange_columns, "gallop"),
+    "wide.onnx": modify_contract(widen_feedback),
+    "nan.onnx": modify_values(control_latency=float("nan")),
+    "early.onnx": modify_values(control_latency=-0.02),
+    "tilting.onnx": modify_values(task={"fall_angle": 1e9}),
+    "odd.onnx": modify_values(name="a/b c"),
+    "above.onnx": modify_values(name=".."),
+    "outside.onnx": modify_values(name="../../x"),
     "maxitaur.onnx": write_policy_of_maxitaur,
     "stale.onnx": write_stale_policy,
     "unnormalized.onnx": write_unnormalized_policy,
     "cut.onnx": lambda path, make_run: path.write_bytes((REPOSITORY / "policies/trot.onnx").read_bytes()[:500]),
     "theirs.onnx": write_their_network,
     # Recorded runs and logs.
-    "run.npz": swung(),
-    "foreign.npz": recorded(robot="nemo/../evil"),
-    "other-motors.npz": recorded(),
+    "run.npz": swinging_run(),
+    "foreign.npz": resting_run(robot="nemo/../evil"),
+    "other-motors.npz": resting_run(),
     "cut.npz": write_cut_trace,
     "two-worlds": write_traces_of_two_worlds,
     "short.npz": write_short_log,
     "pupper.npz": lambda path, make_run: shutil.copy(REPOSITORY / "data/pupper_v2/one_hip_200hz.npz", path),
     "no-logs": lambda path, make_run: path.mkdir(),
-    "on-a-hill.npz": swung(terrain="hill.npz"),
-    # Others.
+    "on-a-hill.npz": swinging_run(terrain="hill.npz"),
+    # Other files.
     "map.npz": write_map,
     "way.csv": "time,forward,sideways,yaw_rate\n0,0.5,0,0\n",
     "raising.py": "raise RuntimeError('not today')\n",
@@ -216,20 +218,20 @@ PARAMS_FILES = {
 }
 
 
-def of_params_files(command: str, *needs: str) -> list[Refusal]:
-    """Return a command's refusals of files of parameters that do not fit."""
-    return of(command, {f"--params {name}": part for name, part in PARAMS_FILES.items()}, *needs)
+def reject_params_files(command: str, *needs: str) -> list[RejectedCommand]:
+    """Return command lines that are rejected because of an invalid parameter file."""
+    return rejected(command, {f"--params {name}": part for name, part in PARAMS_FILES.items()}, *needs)
 
 
-REFUSALS = [
-    *of(
+REJECTED_COMMANDS = [
+    *rejected(
         "",
         {
             "fly": "'fly' is not a command; choices: train, adopt, export, ",
             "evalute trot": "'evalute' is not a command; did you mean evaluate? choices: train, adopt",
         },
     ),
-    *of(
+    *rejected(
         "train",
         {
             "trot --seed 12345678901234567890123": "seed is 12345678901234567890123; it must be 4294967295 or less",
@@ -267,10 +269,10 @@ REFUSALS = [
             "trot --task.robot go2": "--task.robot is not an option; did you mean --robot?",
             "trot --task.reward.progres 1": "did you mean --task.reward.progress?",
             "--resume nowhere": "nowhere: is not a run folder",
-            "--resume run --params robot.toml": ("--params is not an option; for every option: surefoot train --help"),
+            "--resume run --params robot.toml": ("--params is not an option; all options: surefoot train --help"),
             "trot --task.reference.foot.height 0.2": (
-                "--task.reference.foot.height is an option of references of kind foot, follow, and the task's is of "
-                "kind sine; to change the kind: --task.reference.kind foot"
+                "--task.reference.foot.height is an option of references of kind foot, follow, but the task's kind is "
+                "sine; to change the kind: --task.reference.kind foot"
             ),
             "trot --task.reference.kind follow": "reference.kind is follow; it needs commands",
             "trot --task.reference.kind square": (
@@ -280,14 +282,14 @@ REFUSALS = [
         "torch",
         "mujoco",
     ),
-    *of_params_files("train trot", "torch", "mujoco"),
-    *of(
+    *reject_params_files("train trot", "torch", "mujoco"),
+    *rejected(
         "adopt theirs.onnx",
         {
             "--from mjlab --robot go2 --out x.pt": "--out is x.pt; the name must end in .onnx",
             "--from mjlab --robot minitaur --out x.onnx": "joints are FL_hip_joint",
             "--from mjlab --robot go2 --out x.onnx --config x.yaml": (
-                "--config is given; mjlab has everything in the network's file"
+                "--config is given, but mjlab has everything in the network's file"
             ),
             "--from rl_sar --robot go2 --out x.onnx": "config.yaml: can't be read: No such file",
             "--from isaac --robot go2 --out x.onnx": "--from",
@@ -299,11 +301,11 @@ REFUSALS = [
         "torch",
         "onnx",
     ),
-    *of(
+    *rejected(
         "evaluate",
         {
-            "": "no POLICY and no --trace is given",
-            "\udc80": "the arguments hold characters that can't be printed",
+            "": "neither POLICY nor --trace is given",
+            "\udc80": "the arguments contain unprintable characters",
             "nowhere": "policy 'nowhere' does not exist",
             "tort": "policy 'tort' does not exist; did you mean trot? choices: gallop",
             "cut.onnx": "is damaged or not ONNX",
@@ -352,17 +354,17 @@ REFUSALS = [
             "go2-trot go2-steer": "policy 'go2-trot' follows no commands",
             "go2-steer trot": "policies that are compared must be for the same robot",
             "trot gallop": "policy 'trot' follows no commands; policies that are compared must",
-            "go2-steer go2-terrain --conditions ice": ("--conditions are ice; give some of nominal, bullet, table1"),
-            "go2-steer go2-terrain --conditions feet feet": "--conditions are feet, feet; give some of",
-            "go2-steer --conditions rain": "--conditions are rain; give some of nominal, bullet",
+            "go2-steer go2-terrain --conditions ice": ("--conditions are ice; choose from nominal, bullet, table1"),
+            "go2-steer go2-terrain --conditions feet feet": "--conditions are feet, feet; choose from",
+            "go2-steer --conditions rain": "--conditions are rain; choose from nominal, bullet",
             "go2-steer --conditions": "--conditions has no value",
             "go2-steer go2-terrain --terrain stairs:0.1": "--terrain is not an option",
         },
         "mujoco",
         "onnx",
     ),
-    *of_params_files("evaluate trot --out o", "mujoco"),
-    *of(
+    *reject_params_files("evaluate trot --out o", "mujoco"),
+    *rejected(
         "evaluate sensitivity",
         {
             "": "no policy is given",
@@ -375,8 +377,8 @@ REFUSALS = [
         "mujoco",
         "matplotlib",
     ),
-    *of_params_files("evaluate sensitivity trot", "mujoco", "matplotlib"),
-    *of(
+    *reject_params_files("evaluate sensitivity trot", "mujoco", "matplotlib"),
+    *rejected(
         "gap",
         {
             "--to mujoco": "no policy is given",
@@ -395,8 +397,8 @@ REFUSALS = [
             "gallop --to trace mine --to-actuator constraint": "--to-actuator is given, but nothing",
             "gallop --from trace mine --to mujoco --from-set voltage=15": "--from-set is given, but nothing",
             "gallop --from trace a --to trace b --params robot.toml": ("--params is given, but nothing is simulated"),
-            "gallop --to trace mine --out mine/gap": "lie one in the other",
-            "gallop --to trace .": "lie one in the other",
+            "gallop --to trace mine --out mine/gap": "are inside one another",
+            "gallop --to trace .": "are inside one another",
             "gallop --to trace two-worlds": (
                 "trace two-worlds: the traces come from more than one world: bullet, lab; measure one at a time"
             ),
@@ -410,13 +412,13 @@ REFUSALS = [
         "matplotlib",
         "onnx",
     ),
-    *of_params_files("gap trot --to mujoco", "mujoco", "matplotlib"),
-    *of(
+    *reject_params_files("gap trot --to mujoco", "mujoco", "matplotlib"),
+    *rejected(
         "show",
         {
-            "": "no POLICY and no TRACE is given; for every option: surefoot show --help",
-            "--out x.html": "no POLICY and no TRACE is given",
-            "--world bullet": "no POLICY and no TRACE is given",
+            "": "neither POLICY nor TRACE is given; all options: surefoot show --help",
+            "--out x.html": "neither POLICY nor TRACE is given",
+            "--world bullet": "neither POLICY nor TRACE is given",
             # A policy.
             "trot --duration 1e30": "duration is 1e+30; it must be 3600 or less",
             "trot --duration 0": "duration is 0",
@@ -424,69 +426,69 @@ REFUSALS = [
             "trot --control-latency 1": "control_latency is 1; minitaur allows 0 to 0.1",
             "trot --world": "--world has no value",
             "trot --out film.gif": "the name must end in .mp4",
-            "trot --layout over": ("--layout does not go with trot, a policy; for every option: surefoot show --help"),
+            "trot --layout over": ("--layout is not an option for trot, a policy; all options: surefoot show --help"),
             "trot --plugin raising.py": "raising.py, line 1: RuntimeError: not today",
             # Recorded runs.
-            "a.npz --html a.html": "--html is not an option; for every option: surefoot show --help",
-            "a.npz --pushes": "--pushes does not go with a.npz, a recorded run",
+            "a.npz --html a.html": "--html is not an option; all options: surefoot show --help",
+            "a.npz --pushes": "--pushes is not an option for a.npz, a recorded run",
             "none.npz --out x.html": "does not exist",
             "foreign.npz --out x.html": "which does not ship; give its folder with --robot",
-            "other-motors.npz --out x.html": "is of robot 'minitaur'",
+            "other-motors.npz --out x.html": "was recorded on robot 'minitaur'",
             "run.npz cut.npz --out x.html": "cut.npz: is cut off, damaged",
             "map.npz --out x.html": "map.npz: not an episode trace",
             "run.npz --out x.txt": "must end in .html",
-            "run.npz run.npz --out x.mp4": "2 runs are given; a video shows one",
+            "run.npz run.npz --out x.mp4": "2 runs are given; a video shows only one",
             f"{'run.npz ' * 17}--out x.html": "17 traces are given",
             "on-a-hill.npz --terrain map.npz --out x.html": "the traces' terrain is 'hill.npz'",
-            "on-a-hill.npz --terrain rough:0.1 --out x.html": "it must be a map",
+            "on-a-hill.npz --terrain rough:0.1 --out x.html": "it must be a height map",
         },
         "mujoco",
         "viser",
         "imageio_ffmpeg",
     ),
-    *of_params_files("show trot --out o.mp4", "mujoco", "imageio_ffmpeg"),
-    *of(
+    *reject_params_files("show trot --out o.mp4", "mujoco", "imageio_ffmpeg"),
+    *rejected(
         "emulate",
         {
             "--world gazebo": "world 'gazebo' does not exist; choices: mujoco, bullet",
             "--robot cat": "robot 'cat': no such robot",
-            "--fault melt": "'melt' is no fault; choices: corrupt, drop",
+            "--fault melt": "'melt' is not a fault; choices: corrupt, drop",
             "--fault drop=0.1 --fault drop": "fault drop is given twice",
-            "--fault slow-servo=0.0025": "fault slow-servo is 0.0025; it must be whole servo steps of 0.001 s",
+            "--fault slow-servo=0.0025": "fault slow-servo is 0.0025; it must be a multiple of the servo step, 0.001 s",
             "--fault remote-stop": (
-                "fault remote-stop acts on the remote control; --link serial does not have that, give --link dds"
+                "fault remote-stop acts on the remote control, which --link serial does not have; give --link dds"
             ),
-            "--lockstep --fault overload": "it does not go with --lockstep",
-            "--rack --fault tilt": "it does not go with --rack",
+            "--lockstep --fault overload": ("fault overload", "with --lockstep"),
+            "--rack --fault tilt": "it can't be combined with --rack",
             "--terrain stairs:9": "terrain stairs: size is 9 m; it must be 0.01 to 0.4",
-            "--link dds": "link dds needs the network interface of the topics; give --interface, such as lo",
+            "--link dds": "link dds requires the network interface of the topics; give --interface, such as lo",
             "--link tcp": "dds",
-            "--interface lo": "motion_service are those of a link over DDS; give --link dds too",
-            DDS: "link dds is that of a Unitree Go2; robot minitaur has other motors, give --robot go2",
+            "--interface lo": "motion_service apply to a DDS link; give --link dds as well",
+            DDS: "link dds is for a Unitree Go2; robot minitaur has other motors, give --robot go2",
             f"{DDS} --domain 233": "domain is 233; it must be 232 or less",
-            f"{DDS} --lockstep": "lockstep is about the serial link; it does not go with --link dds",
+            f"{DDS} --lockstep": "lockstep applies to the serial link; it can't be combined with --link dds",
             f"{DDS} --fault garbage": (
-                "fault garbage acts on bytes between messages; --link dds does not have that, give --link serial"
+                "fault garbage acts on bytes between messages, which --link dds does not have; give --link serial"
             ),
             "--duration 0": "duration is 0; it must be over 0",
             "--duration 1e30": "duration is 1e+30; it must be 10000000 or less",
             "--baud -1": "baud is -1; it must be 0 or more",
             "--baud 300": "baud is 300; it must be 9600 or more, or 0",
             "--hidden-seed -1": "hidden_seed is -1; it must be 0 or more",
-            "--hidden-seed 1 --set voltage=15": "does not go with --params and --set",
+            "--hidden-seed 1 --set voltage=15": "can't be combined with --params or --set",
             "--hidden-seed 1 --out way.csv": "exists; give another name",
             "--hidden-seed 1 --out cat.toml": "exists; give another name",
             "--hidden-seed 1 --symlink file": "exists; give another name",
-            "--out x.toml": "out x.toml is for hidden parameters; give --hidden-seed too",
+            "--out x.toml": "out x.toml is for hidden parameters; give --hidden-seed as well",
             "--out x.txt": "out x.txt: the name must end in .csv or .toml, with one file of each",
             "--out x.csv y.csv": "out y.csv: the name must end in",
             "--set voltage=99": "voltage is 99; minitaur allows 5 to 30",
             "--params missing.toml": "missing.toml: can't be read: No such file",
-            "--viewer": "viewer: there is no display here",
+            "--viewer": "viewer: there is no display (DISPLAY",
         },
         "mujoco",
     ),
-    *of(
+    *rejected(
         "deploy",
         {
             "trot": "--port",
@@ -495,14 +497,14 @@ REFUSALS = [
             "trot --port x --duration -1": "duration is -1; it must be over 0",
             "trot --port x --episodes 0": "episodes is 0; it must be 1 or more",
             "trot --port x --out /dev/null": "out is /dev/null; it must be a folder",
-            "trot --port x --height-map 5556": "--height-map is given; policy 'trot' sees no map",
+            "trot --port x --height-map 5556": "--height-map is given; policy 'trot' uses no height map",
             "go2-steer --link dds": "--interface is missing; it names the network interface",
             "go2-steer --link can": "--link is 'can'",
-            "go2-steer --port x --release": "--release is given; it goes with --link dds",
-            "go2-steer --port x --interface lo": "--interface is given; it goes with --link dds",
+            "go2-steer --port x --release": "--release is given; it requires --link dds",
+            "go2-steer --port x --interface lo": "--interface is given; it requires --link dds",
         },
     ),
-    *of(
+    *rejected(
         "deploy",
         {
             "nan.onnx --port x": "contract: is not JSON: it holds NaN",
@@ -516,31 +518,31 @@ REFUSALS = [
         },
         "onnx",
     ),
-    *of(
+    *rejected(
         "deploy",
         {
             "go2-steer --link dds --interface eth9": "there is no network interface 'eth9'; it must be one of",
-            f"go2-steer {DDS} --port x": "--port and --link dds don't go together",
-            f"go2-steer {DDS} --lockstep": "--lockstep and --link dds don't go together",
+            f"go2-steer {DDS} --port x": "--port and --link dds can't be combined",
+            f"go2-steer {DDS} --lockstep": "--lockstep and --link dds can't be combined",
             f"go2-steer {DDS} --domain 231": "domain is 231; it must be",
-            f"trot {DDS}": "a link over DDS speaks with a Unitree Go2; minitaur must have",
+            f"trot {DDS}": "a DDS link needs a Unitree Go2; minitaur must have",
         },
         "cyclonedds",
     ),
-    *of(
+    *rejected(
         "doctor",
         {
             "trot": "--port",
             "go2-steer": "--port is missing",
             "none.onnx --port /dev/none": "policy 'none.onnx' does not exist",
             "trot --port /dev/none --json": "port /dev/none: can't be opened: No such file or directory",
-            "trot --port x --rack --ground": "--rack and --ground don't go together",
+            "trot --port x --rack --ground": "--rack and --ground can't be combined",
             "trot --port x --pings 1": "pings is 1; it must be 10 or more",
             "trot --port x --steps 0": "steps is 0; it must be 10 or more",
             "trot --port x --robot cat": "robot 'cat': no such robot",
         },
     ),
-    *of(
+    *rejected(
         "doctor",
         {
             "unnormalized.onnx --port x": (
@@ -554,28 +556,28 @@ REFUSALS = [
         },
         "onnx",
     ),
-    *of(
+    *rejected(
         "identify",
         {
             "tail": (
-                "'tail' is no experiment; choices: latency, motor, mass, contact, air, replay, import, motor-figure, "
-                "or --trace FOLDER"
+                "'tail' is not an experiment; choices: latency, motor, mass, contact, air, replay, import, "
+                "motor-figure, or --trace FOLDER"
             ),
-            "imprt": "'imprt' is no experiment; did you mean import?",
-            "motor": "give one of them; none is given",
-            "motor --port x --recording y": "give one of them; both is given",
-            "motor --recording x --yes": "--recording and --yes don't go together",
-            "motor --recording x --record-only": "--recording and --record-only don't go together",
-            "motor --port x --record-only --params a.toml": "--record-only and --params don't go",
+            "imprt": "'imprt' is not an experiment; did you mean import?",
+            "motor": "--recording of an experiment; neither is given",
+            "motor --port x --recording y": "--recording of an experiment; both are given",
+            "motor --recording x --yes": "--recording and --yes can't be combined",
+            "motor --recording x --record-only": "--recording and --record-only can't be combined",
+            "motor --port x --record-only --params a.toml": "--record-only and --params can't be combined",
             "motor --port x --params a.txt": "params a.txt: the name must end in .toml",
             "motor --recording none": "recording none: can't be read: No such file",
             "motor --port /dev/none --yes": "/dev/none",
             "motor --port /dev/none --robot cat": "robot 'cat': no such robot",
-            "motor --port /dev/none": "motors will move and the robot must hang free, its legs in the air; without",
-            "mass --port /dev/none --record-only": "the robot must sit on flat ground with a metre of room",
+            "motor --port /dev/none": "motors will move and the robot must hang freely, with its legs in the air; ",
+            "mass --port /dev/none --record-only": "the robot must sit on flat ground with a metre of free space",
             "--trace none": "trace folder none does not exist",
             "--trace=none": "trace folder none does not exist",
-            "--trace no-logs --robot pupper_v2": "folder no-logs holds no logs (.npz)",
+            "--trace no-logs --robot pupper_v2": "folder no-logs contains no logs (.npz)",
             "motor-figure --motor tail": "motor 'tail' does not exist",
             "motor-figure --out motor.pdf": ("out motor.pdf: the name must end in .png or .csv, with one file of each"),
             "motor-figure --frequency 0": "frequency is 0; it must be over 0",
@@ -584,18 +586,18 @@ REFUSALS = [
             "motor-figure --world moon": "world 'moon' does not exist",
         },
     ),
-    *of(
+    *rejected(
         "identify replay --robot pupper_v2",
         {
             "pupper.npz --params nothing": ("params is 'nothing'; it must be a file (.toml), or a name; choices: id"),
             "pupper.npz --world newton": "world 'newton' does not exist; choices: mujoco, bullet",
             "pupper.npz --out figure.svg": "out figure.svg: the name must end in .png",
             "pupper.npz --set mass=1": "'mass' is not a physical parameter",
-            "short.npz": "short.npz is 0.04 s long; errors count after 0.3 s",
+            "short.npz": "short.npz is 0.04 s long; errors are evaluated after 0.3 s",
         },
         "mujoco",
     ),
-    *of(
+    *rejected(
         "robot",
         {
             "make": "'make' is not an action; choices: new, check",
@@ -608,30 +610,30 @@ REFUSALS = [
             "firmware old": "'old' is not an action",
             "firmware new no-such-robot": "no-such-robot",
             "firmware motor x --yes --port /dev/null": "'x' is no motor of minitaur",
-            "firmware motor front_left_1_motor --port /dev/null": "say so with --yes",
+            "firmware motor front_left_1_motor --port /dev/null": "confirm it with --yes",
         },
     ),
-    *of(
+    *rejected(
         "study",
         {
             "serach trot": (
-                "'serach' is neither the file of a study (.yaml) nor an action; did you mean search? choices: run, "
+                "'serach' is neither a study file (.yaml) nor an action; did you mean search? choices: run, "
                 "identify, search"
             ),
             "study-name.yaml": "name is '../../x'; a name has letters",
             "study.yaml --workers -1": "workers is -1; it must be 0",
             "study.yaml --only fast": "group 'fast' is not in the study; choices: plain, drawn",
             "study.yaml --seeds 1 1": "seeds is [1, 1]; it takes 1 or more, none twice",
-            "study.yaml --train-only --report-only": "--train-only and --report-only leave nothing to do",
+            "study.yaml --train-only --report-only": "--train-only and --report-only can't be combined",
             "study.yaml --report-only": "runs/tiny: no run of the study is finished and evaluated",
             "study.yaml --ray nowhere": "ray is 'nowhere'; it must be HOST:PORT",
             "none.yaml": "none.yaml: can't be read",
             "study-kind.yaml": "evaluate: 'luck' is no kind of evaluation; choices: nominal, table1, sensitivity, gap",
             "study-primary.yaml": (
-                "primary: 'gap' is no figure of its evaluations; choices: nominal_speed, nominal_return"
+                "primary: 'gap' is not a metric of its evaluations; choices: nominal_speed, nominal_return"
             ),
             "study-gaps.yaml": "evaluate: a study measures one reality gap; it has gap, gap_test",
-            "study-bars.yaml": "bars: they show the reality gap; evaluate must name 'gap' or 'gap_test' for them",
+            "study-bars.yaml": "bars: they show the reality gap, so evaluate must contain 'gap'",
             "study-robot.yaml": "group a: observation 'smell' does not exist",
             "--report-only": "FILE is missing",
             "run": "FILE is missing",
@@ -640,7 +642,7 @@ REFUSALS = [
         "torch",
         "matplotlib",
     ),
-    *of(
+    *rejected(
         "study search",
         {
             "": "TASK",
@@ -660,7 +662,7 @@ REFUSALS = [
         "ray",
         "torch",
     ),
-    *of(
+    *rejected(
         "study tune",
         {
             "--speed 0": ("speed is 0", "0.05 or more"),
@@ -675,20 +677,20 @@ REFUSALS = [
         "cma",
         "mujoco",
     ),
-    *of(
+    *rejected(
         "study paper",
         {
             "--root .": ("root is .", "with tools/paper_runs.py"),
             "--out page.pdf": "out page.pdf: the name must end in .html",
             "--root REPOSITORY --quick --full": "--quick and --full are given; give one of them",
-            "--root REPOSITORY --workers 2": ("--workers", "go with --quick or --full"),
+            "--root REPOSITORY --workers 2": ("--workers", "require --quick or --full"),
             "--root REPOSITORY --quick --out file": "file; it must be a folder",
         },
         "mujoco",
         "matplotlib",
     ),
-    # What is not installed.
-    *of(
+    # Missing packages.
+    *rejected(
         "",
         {
             "gap gallop --to bullet": "bullet",
@@ -703,6 +705,6 @@ REFUSALS = [
         "imageio_ffmpeg",
         hidden="pybullet",
     ),
-    *of("evaluate trot", {"--out out": "report"}, "mujoco", hidden="matplotlib"),
-    *of("show trot", {"--out x.mp4": "report"}, "mujoco", hidden="imageio_ffmpeg"),
+    *rejected("evaluate trot", {"--out out": "report"}, "mujoco", hidden="matplotlib"),
+    *rejected("show trot", {"--out x.mp4": "report"}, "mujoco", hidden="imageio_ffmpeg"),
 ]

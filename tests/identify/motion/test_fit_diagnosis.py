@@ -1,4 +1,4 @@
-"""A fit that does no better than a motor that follows its command explains nothing."""
+"""A fit that is no better than the baseline of a delayed command does not explain its log."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from surefoot.identify.motion.fit_diagnosis import _column_hints, diagnose_fit, following_error
 from surefoot.identify.motion.recorded import RecordedMotion
-from surefoot.identify.motion.verdict import _wrong_columns, following_error, judge_fit
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -29,10 +29,10 @@ def log(pupper: RobotDescription) -> RecordedMotion:
 
 
 def test_the_true_robot_explains_its_log(pupper: RobotDescription, log: RecordedMotion):
-    assert judge_fit(pupper, [log], PhysicalParams.nominal(pupper)) == ()
+    assert diagnose_fit(pupper, [log], PhysicalParams.nominal(pupper)) == ()
 
 
-def test_a_following_motor_has_the_error_that_no_delay_removes():
+def test_the_baseline_has_the_error_that_no_delay_removes():
     time = 0.01 * np.arange(400)
     command = np.sin(3 * time)[:, None]
     late = np.interp(time - 0.1, time, command[:, 0])[:, None]
@@ -44,14 +44,14 @@ def test_a_following_motor_has_the_error_that_no_delay_removes():
 def test_wrong_signs_and_orders_are_named(pupper: RobotDescription, log: RecordedMotion):
     angles = log.motor_angle.copy()
     angles[:, 1] *= -1
-    (hint,) = _wrong_columns(pupper, replace(log, motor_angle=angles))
-    assert hint == "the angle of rightFrontUpperLegMotor goes against its command: sign?"
+    (hint,) = _column_hints(pupper, replace(log, motor_angle=angles))
+    assert hint == "the angle of rightFrontUpperLegMotor moves against its command: is its sign right?"
     angles = log.motor_angle.copy()
     angles[:, [1, 4]] = angles[:, [4, 1]]
-    first, second = _wrong_columns(pupper, replace(log, motor_angle=angles))
+    first, second = _column_hints(pupper, replace(log, motor_angle=angles))
     names = "rightFrontUpperLegMotor", "leftFrontUpperLegMotor"
-    assert first == "the angle of {} follows the command of {}: order of joints?".format(*names)
-    assert second == "the angle of {1} follows the command of {0}: order of joints?".format(*names)
-    reason, *hints = judge_fit(pupper, [replace(log, motor_angle=angles)], PhysicalParams.nominal(pupper))
-    assert reason.startswith("the fitted robot does not repeat these logs")
+    assert first == "the angle of {} follows the command of {}: is the order of joints right?".format(*names)
+    assert second == "the angle of {1} follows the command of {0}: is the order of joints right?".format(*names)
+    reason, *hints = diagnose_fit(pupper, [replace(log, motor_angle=angles)], PhysicalParams.nominal(pupper))
+    assert reason.startswith("the fitted robot does not reproduce these logs")
     assert first in hints

@@ -1,4 +1,4 @@
-"""A world without physics that returns scripted states."""
+"""World without physics that returns scripted states."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ COMMAND_LIMITS = CommandLimits(
     deadband=(0.02, 0.02, 0.02),
     heading_gain=2.0,
 )
-"""What a policy can be commanded."""
+"""Limits of velocity commands."""
 
 
 class ScriptedWorld:
-    """A simulation without physics: the base goes `speed` forward, takes `power`, and tilts on demand.
+    """World without physics: the base moves forward at `speed`, consumes `power`, and tilts on demand.
 
-    A robot's motors are where they were sent, one control step ago.
+    The motors are at the targets of the previous control step.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What logs will tell, before any fit: the deviations that a fit would leave, from the Jacobian at the prior."""
+"""Accuracy that a fit to logs can reach, predicted before the fit from the Jacobian at the prior parameters."""
 
 from __future__ import annotations
 
@@ -9,66 +9,66 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit, forward_jacobian
-from surefoot.identify.motion.priors import default_names, without_known
+from surefoot.identify.motion.ambiguities import describe_ambiguities
+from surefoot.identify.motion.priors import default_names, drop_known
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_estimates import robot_estimates
 from surefoot.identify.motion.robot_model import robot_model
 from surefoot.identify.motion.robot_unknowns import considered_unknowns, robot_unknowns
-from surefoot.identify.motion.words import describe_unknown
 from surefoot.identify.plan import Plan
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import ParameterEstimate
 from surefoot.robot import PhysicalParams, RobotDescription
 
 EXPECTED_NOISE = 0.02
-"""Standard deviation of angles [rad] that counts for a fit: what a model that is a little wrong leaves, and for how
-many rows it keeps its sign. A real Go2's log had 0.025, a simulated one 0.004."""
+"""Expected standard deviation of angle residuals [rad], including the effect of their correlation in time, as in
+`robot_model.correlated_noise`. A log of a real Go2 had 0.025, a simulated log 0.004."""
 PERIOD = 0.005
 """Time between two rows of a planned motion [s]."""
 
 
 @dataclass(frozen=True)
-class Foresight:
-    """What a fit to logs would know."""
+class ExpectedAccuracy:
+    """Expected accuracy of a fit to logs."""
 
     estimates: tuple[ParameterEstimate, ...]
-    """Prior values with the deviations that the fit would leave."""
+    """Prior values with the standard deviations expected after the fit."""
     sentences: tuple[str, ...]
-    """What would stay unknown, in words."""
+    """Sentences on the parameters that the logs would not determine."""
 
 
-def foresee(
+def predict_accuracy(
     robot: RobotDescription, motions: Sequence[RecordedMotion], prior: PhysicalParams, known: Sequence[str] = ()
-) -> Foresight:
-    """Return what logs of a hanging robot would tell, if it were as before (one row).
+) -> ExpectedAccuracy:
+    """Predict the accuracy of a fit to logs of a hanging robot, assuming that the prior parameters are true.
 
     Args:
-        robot: its description.
-        motions: logs, of which commands and times count; readings are simulated where they are missing.
-        prior: parameters before.
-        known: parameters that are known exactly, such as gains that are stated.
+        robot: robot description.
+        motions: logs or planned motions. Only commands and times matter; missing readings are simulated.
+        prior: parameters before the fit, one row.
+        known: names of parameters that are known exactly, such as stated gains.
     """
-    names = without_known(default_names(robot, True), known)
+    names = drop_known(default_names(robot, True), known)
     unknowns = robot_unknowns(robot, prior, names, True)
-    logs = [_simulated(robot, motion, prior) for motion in motions]
+    logs = [_simulate_readings(robot, motion, prior) for motion in motions]
     considered = considered_unknowns(robot, prior, logs)
-    everything = (*unknowns, *considered)
-    model = robot_model(robot, logs, everything, prior, None, [EXPECTED_NOISE] * len(logs))
-    values = np.array([unknown.start for unknown in everything])
+    all_unknowns = (*unknowns, *considered)
+    model = robot_model(robot, logs, all_unknowns, prior, None, [EXPECTED_NOISE] * len(logs))
+    values = np.array([unknown.start for unknown in all_unknowns])
     residuals = model.residuals(values[None])[0]
     jacobian = forward_jacobian(model, values, residuals)
-    deviation = np.array([unknown.prior_deviation for unknown in everything])
+    deviation = np.array([unknown.prior_deviation for unknown in all_unknowns])
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + np.diag(deviation**-2.0)), np.float64)
     held = np.zeros(len(values), np.bool_)
     held[len(unknowns) :] = True
-    fit = Fit(everything, values, covariance, residuals, jacobian, held, True)
+    fit = Fit(all_unknowns, values, covariance, residuals, jacobian, held, True)
     held[: len(unknowns)] = ~fit.identifiable[: len(unknowns)]
     fit = replace(fit, held=held)
-    return Foresight(tuple(robot_estimates(robot, prior, prior, fit)), describe_unknown(robot, fit, prior))
+    return ExpectedAccuracy(tuple(robot_estimates(robot, prior, prior, fit)), describe_ambiguities(robot, fit, prior))
 
 
 def planned_motion(plan: Plan) -> RecordedMotion:
-    """Return the commands of a plan's phases that are fitted, in their order with what lies between, as a log."""
+    """Return the commands of a plan from its first to its last fitted phase, as a log without readings."""
     used = [k for k, phase in enumerate(plan.phases) if phase.use == "fit"]
     rows: list[Array] = []
     last = 0.5 * (plan.angle_low + plan.angle_high)
@@ -78,13 +78,13 @@ def planned_motion(plan: Plan) -> RecordedMotion:
             last = phase.signal(k * PERIOD, start)
             rows.append(last)
     command = np.array(rows)
-    # A little unevenness: a clock that is measured.
+    # Slightly uneven times, so that the clock counts as measured and not as computed.
     time = PERIOD * np.arange(len(command)) + 1e-4 * (np.arange(len(command)) % 2)
     return RecordedMotion(f"{plan.experiment} plan", time, command, time, rack=True)
 
 
-def _simulated(robot: RobotDescription, motion: RecordedMotion, prior: PhysicalParams) -> RecordedMotion:
-    """Return a log with the readings of a robot as before, where it has none."""
+def _simulate_readings(robot: RobotDescription, motion: RecordedMotion, prior: PhysicalParams) -> RecordedMotion:
+    """Return a log with motor angles, simulated with the prior parameters if it has none."""
     if np.isfinite(motion.motor_angle).any():
         return motion
     readings = Replayer(robot, 1, motion.rack, torques=False).run(segment_from_motion(motion, robot), prior)

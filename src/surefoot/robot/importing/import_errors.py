@@ -1,4 +1,4 @@
-"""Errors of the import: what a file without a quadruped is, and what to do."""
+"""Errors of the importer: what a file contains instead of a quadruped, and what to do."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ _REASONS = {
     "positive eigenvalues": "has an inertia with a moment that is not over 0; correct its <inertial>",
     "mesh volume is too small": "is a mesh without a volume; leave out meshes (--no-meshes)",
 }
-"""Explanations by words of MuJoCo's message."""
+"""Explanations by a phrase in MuJoCo's message."""
 
 
 def check_suffix(path: Path) -> None:
-    """Refuse meshes, empty files and files that are not text."""
+    """Reject meshes, empty files and binary files."""
     if path.suffix.lower() in _MESHES:
         raise SurefootError(f"{path}: is a mesh; give the URDF or MJCF that names it")
     try:
-        check_readable(path)  # a pipe would not open
+        check_readable(path)  # opening a pipe would block
         with path.open("rb") as file:
             start = file.read(1024)
     except OSError:
-        return  # the reader says why
+        return  # the reader reports the reason
     if not start.strip():
         raise SurefootError(f"{path}: is empty; give the URDF or MJCF of a robot")
     if b"\0" in start and not start.startswith((b"\xff\xfe", b"\xfe\xff")):
@@ -49,7 +49,7 @@ def check_suffix(path: Path) -> None:
 
 
 def check_kind(root: ElementTree.Element, path: Path) -> None:
-    """Refuse what is neither a URDF nor an MJCF, by its root element, and URDFs that are templates or have no links."""
+    """Reject files that are neither URDF nor MJCF by their root element, xacro templates, and URDFs without links."""
     if root.tag not in ("mujoco", "robot"):
         kind = _ROOTS.get(root.tag.split("}")[-1])
         kind = kind or f"the root element is <{root.tag}>; a URDF's is <robot>, an MJCF's <mujoco>"
@@ -63,13 +63,13 @@ def check_kind(root: ElementTree.Element, path: Path) -> None:
 
 
 def explain_mujoco(message: str, path: Path) -> SurefootError:
-    """Return the error for a message of MuJoCo's parser or compiler about a file."""
+    """Convert a message of MuJoCo's parser or compiler to an error about the file."""
     message = " ".join(message.split("The visual elements of the spec")[0].split())
     match = _MUJOCO.fullmatch(message)
     what, name, line = (match["what"], match["name"], match["line"]) if match else (message, None, None)
     if missing := re.search(r"Error opening file '([^']*)'", what):
         return SurefootError(
-            f"{path}: names the file '{missing[1]}', which is not there; put it where it is named, or leave out meshes "
+            f"{path}: names the file '{missing[1]}', which does not exist; put it there, or leave out meshes "
             "(--no-meshes)"
         )
     for words, reason in _REASONS.items():
@@ -87,34 +87,35 @@ def explain_mujoco(message: str, path: Path) -> SurefootError:
 def check_legs(
     path: Path, base: str, chains: Sequence[Sequence[str]], branches: str | None, has_loops: bool, slides: Sequence[str]
 ) -> None:
-    """Refuse what is no quadruped with serial legs of two or three hinges.
+    """Reject robots that are not quadrupeds with serial legs of two or three hinges.
 
     Args:
         path: the file.
-        base: name of the body that the legs hang from.
-        chains: the joints' names of each leg, from the base to the foot.
-        branches: name of a leg's body that more than one other hangs from; None without one.
-        has_loops: whether loops are closed.
-        slides: names of the legs' bodies whose joints are no single hinges.
+        base: name of the body to which the legs are attached.
+        chains: joint names of each leg, from the base to the foot.
+        branches: name of a leg body with more than one child, or None.
+        has_loops: whether the robot has closed loops.
+        slides: names of leg bodies whose joint is not a single hinge.
     """
     lengths = [len(chain) for chain in chains]
     counts = choices(f"{length}" for length in lengths)
-    hangs = f"from '{base}' hang {len(chains)} chains of {counts} joints"
-    by_hand = "five-bar legs need a sheet that is written by hand, as the Minitaur's"
+    structure = f"'{base}' has {len(chains)} chains of {counts} joints"
+    by_hand = "five-bar legs need a data sheet that is written by hand, like the Minitaur's"
     why = None
     if len(chains) == 1:
-        why = f"is an arm or another single chain: {lengths[0]} joints hang from '{base}'"
+        why = f"is an arm or another single chain: '{base}' has one chain of {lengths[0]} joints"
     elif len(chains) == 2 or (branches and max(lengths) > 3):
-        why = f"is a biped, humanoid or other robot: {hangs}{f', which branch at {branches!r}' if branches else ''}"
+        branching = f", which branch at {branches!r}" if branches else ""
+        why = f"is a biped, humanoid or other robot: {structure}{branching}"
     elif has_loops or branches:
         why = f"has {'closed loops' if has_loops else f'legs that branch at {branches!r}'}; {by_hand}"
     elif len(chains) == 8 and max(lengths) <= 2:
-        why = f"has two chains for each leg ({hangs}); {by_hand}"
+        why = f"has two chains per leg ({structure}); {by_hand}"
     elif len(chains) != 4:
-        why = f"has {len(chains)} legs: {hangs}"
+        why = f"has {len(chains)} legs: {structure}"
     elif len(set(lengths)) > 1 or not 2 <= lengths[0] <= 3:
-        why = f"its legs have {counts} hinges, and all must have 2, or all 3"
+        why = f"its legs have {counts} hinges; all must have 2, or all 3"
     elif slides:
-        why = f"body '{slides[0]}' has joints that are no single hinge: they slide, turn as a ball, or are several"
+        why = f"body '{slides[0]}' does not have a single hinge, but a sliding joint, a ball joint, or several joints"
     if why:
         raise SurefootError(f"{path}: {why}" + ("" if by_hand in why else f"; {QUADRUPED}"))

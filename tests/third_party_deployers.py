@@ -1,7 +1,7 @@
-"""Other frameworks' deployments of a policy in 32-bit numbers, written out from their published sources.
+"""Deployments of other frameworks, reimplemented in 32-bit arithmetic from their published sources.
 
-Each returns the network's observation of readings and a command, and the motors' angles for the network's action, which
-it keeps as its last action.
+Each computes the network's observation from readings and a command, and motor angles from the network's action, which
+it stores as the last action.
 """
 
 from __future__ import annotations
@@ -11,18 +11,18 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from foreign import Readings
+from third_party_policies import Readings
 
 MOTORS = 12
 
 
 def single(values: object) -> np.ndarray:
-    """Return numbers in 32 bits."""
+    """Return values in single precision."""
     return np.asarray(values, np.float32)
 
 
 def rotate_inverse(quaternion: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Return a vector of the world in the base frame of a quaternion w x y z, as Isaac's `quat_rotate_inverse` does."""
+    """Rotate a vector from the world to the base frame, quaternion w x y z, as Isaac's `quat_rotate_inverse`."""
     w, xyz = quaternion[0], quaternion[1:]
     rotated: np.ndarray = vector * (2 * w * w - 1) - np.cross(xyz, vector) * w * 2 + xyz * np.dot(xyz, vector) * 2
     return rotated
@@ -34,7 +34,7 @@ def gravity(readings: Readings) -> np.ndarray:
 
 
 class RlSar:
-    """rl_sar's (`rl_sdk.cpp`, `observation_buffer.cpp`); `config` is the table of its `config.yaml`."""
+    """Deployment of rl_sar (`rl_sdk.cpp`, `observation_buffer.cpp`); `config` is the content of its `config.yaml`."""
 
     def __init__(self, config: dict[str, Any]) -> None:
         self._config = config
@@ -45,7 +45,7 @@ class RlSar:
         return single(self._config[key])
 
     def observe(self, readings: Readings, command: np.ndarray) -> np.ndarray:
-        """Return the network's input."""
+        """Compute the network's input."""
         mapping = self._config["joint_mapping"]
         position = single(readings.motor_angle[mapping]) - self._array("default_dof_pos")
         terms = {
@@ -66,7 +66,7 @@ class RlSar:
         return np.concatenate([self._history[age] for age in ages])
 
     def targets(self, actions: np.ndarray) -> np.ndarray:
-        """Return the motors' angles for the network's output."""
+        """Convert the network's output to motor angles."""
         self._actions = np.clip(actions, self._array("clip_actions_lower"), self._array("clip_actions_upper"))
         angles = np.zeros(MOTORS, np.float32)
         angles[self._config["joint_mapping"]] = self._actions * self._array("action_scale") + self._array(
@@ -77,23 +77,23 @@ class RlSar:
 
 @dataclass
 class IsaacLab:
-    """That of Isaac Lab's managers, which mjlab and unitree_rl_lab share.
+    """Deployment of Isaac Lab's managers, also used by mjlab and unitree_rl_lab.
 
-    Terms are clipped, scaled and kept in a queue, which the first value fills.
+    Terms are clipped, scaled and stored in a queue, which is initially filled with the first value.
     """
 
     order: list[int]
     """Motor of each joint."""
     pose: Any
     layout: list[tuple[str, Any, Any, int]]
-    """Name, clip, scale and length of the history of each term."""
+    """Name, clipping limits, scale and history length of each term."""
     action_scale: Any
     target_clip: Any = None
     by_step: bool = False
-    """unitree_rl_lab's `use_gym_history`: all terms of a step, then all of the next one."""
+    """Option `use_gym_history` of unitree_rl_lab: all terms of a step, then all terms of the next step."""
     scale_first: bool = False
     phase_step: float = 0.0
-    """What the phase of a gait grows by in a control step [cycles]; it does so before the first one too."""
+    """Increase of the gait phase per control step, also before the first one [cycles]."""
     step: int = 0
     _queues: list[deque[np.ndarray]] = field(default_factory=list)
     _actions: np.ndarray = field(default_factory=lambda: np.zeros(MOTORS, np.float32))
@@ -113,7 +113,7 @@ class IsaacLab:
         )
 
     def observe(self, readings: Readings, command: np.ndarray) -> np.ndarray:
-        """Return the network's input."""
+        """Compute the network's input."""
         self.step += 1
         self._queues = self._queues or [deque(maxlen=max(length, 1)) for *_, length in self.layout]
         for queue, (name, clip, scale, _) in zip(self._queues, self.layout, strict=True):
@@ -126,7 +126,7 @@ class IsaacLab:
         return np.concatenate([value for queue in self._queues for value in queue])
 
     def targets(self, actions: np.ndarray) -> np.ndarray:
-        """Return the motors' angles for the network's output."""
+        """Convert the network's output to motor angles."""
         self._actions = single(actions)
         joints = self._actions * single(self.action_scale) + single(self.pose)
         if self.target_clip is not None:
@@ -138,7 +138,7 @@ class IsaacLab:
 
 @dataclass
 class LeggedGym:
-    """legged_gym's (`legged_robot.py`: `compute_observations`, `_compute_torques`), without the speed of the base."""
+    """Deployment of legged_gym (`legged_robot.py`: `compute_observations`, `_compute_torques`), no base velocity."""
 
     order: list[int]
     pose: Any
@@ -146,7 +146,7 @@ class LeggedGym:
     _actions: np.ndarray = field(default_factory=lambda: np.zeros(MOTORS, np.float32))
 
     def observe(self, readings: Readings, command: np.ndarray) -> np.ndarray:
-        """Return the network's input."""
+        """Compute the network's input."""
         parts = [
             single(readings.angular_velocity_base) * single(0.25),
             gravity(readings),
@@ -158,7 +158,7 @@ class LeggedGym:
         return np.clip(np.concatenate(parts), -100, 100)
 
     def targets(self, actions: np.ndarray) -> np.ndarray:
-        """Return the motors' angles for the network's output."""
+        """Convert the network's output to motor angles."""
         self._actions = np.clip(single(actions), -100, 100)
         angles = np.zeros(MOTORS, np.float32)
         angles[self.order] = self._actions * single(self.action_scale) + single(self.pose)

@@ -1,4 +1,4 @@
-"""A trot that is trained a little, once for all tests: again when the sources or the pins have changed."""
+"""A very short training of the trot, shared by all tests; it is repeated if the sources or pinned versions change."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-# Noise, pushes, ends of episodes and an evaluation all fall into these few updates.
+# These few updates include noise, pushes, ends of episodes and an evaluation.
 TINY: dict[str, Any] = {
     "num_envs": 16,
     "steps_per_update": 16,
@@ -29,7 +29,7 @@ TINY: dict[str, Any] = {
 
 
 def digest() -> str:
-    """Return what changes with the package's sources, the pins and this file."""
+    """Return a hash of the package's sources, the pinned versions and this file."""
     content = hashlib.sha256()
     sources = (path for path in (ROOT / "src").rglob("*") if path.is_file() and "__pycache__" not in path.parts)
     for path in sorted([*sources, ROOT / "constraints.txt", Path(__file__)]):
@@ -38,7 +38,7 @@ def digest() -> str:
 
 
 def trained_run(folder: Path) -> Path:
-    """Return the run's folder in a folder of such runs; one process trains, others wait for it meanwhile."""
+    """Return the run folder, in a folder of such runs; one process trains while others wait for it."""
     from surefoot.configuration import from_mapping
     from surefoot.learn.config import TrainConfig, load_train_config
     from surefoot.learn.run_folder import RunFolder

@@ -1,4 +1,4 @@
-"""Environments that go on from a state."""
+"""Check that environments resume exactly from a state."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from surefoot.task.env import LocomotionEnv
 
 
 def assert_resumes_exactly(env: LocomotionEnv, actions: Sequence[np.ndarray]) -> None:
-    """Give actions, each (N, A), twice from the present state, and compare the observations."""
+    """Apply actions, each (N, A), twice from the present state, and compare the observations."""
     state = env.get_state()
     first = [env.step(action)[0] for action in actions]
     env.set_state(state)

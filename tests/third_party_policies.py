@@ -1,4 +1,4 @@
-"""Policies of others that tests adopt, readings of a Go2, and a network that shows its observation."""
+"""Third-party policies for tests of adoption, readings of a Go2, and a network that exposes its observation."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ DEPLOY = {
         "gait_phase": {"params": {"period": 0.7}, "clip": None, "scale": [1.0] * 2, "history_length": 5},
     },
 }
-"""`deploy.yaml` of a training of a Go2, with what the format can have."""
+"""`deploy.yaml` of a training of a Go2, with all features of the format."""
 
 MJLAB = {
     "joint_names": ",".join(
@@ -61,7 +61,7 @@ MJLAB = {
     "command_names": "twist",
     "run_path": "a/b/c",
 }
-"""Properties of a network of mjlab, of a version without histories."""
+"""Metadata of a network of mjlab, in a version without histories."""
 LONG = {
     "observation_names": "base_ang_vel,projected_gravity,joint_pos,joint_vel,command",
     "observation_terms_scale": f"0.250,1.000,1.000,{[0.05] * 12},1.000",
@@ -69,7 +69,7 @@ LONG = {
     "observation_terms_clip": "[-1.5, 1.5],[-inf, inf],[-inf, inf],[-inf, inf],[-inf, inf]",
     "observation_terms_flatten_history_dim": "1.000,1.000,1.000,1.000,1.000",
 }
-"""What newer versions add."""
+"""Metadata added by newer versions."""
 
 LEGGED_GYM = """
 from legged_gym.envs.base.legged_robot_config import LeggedRobotCfg, LeggedRobotCfgPPO
@@ -104,7 +104,7 @@ class GO2RoughCfgPPO( LeggedRobotCfgPPO ):
 
 @dataclass
 class Readings:
-    """Readings of a Go2 at a control step, in the order and with the signs of the vendor's messages."""
+    """Readings of a Go2 at a control step, in the vendor's order and signs."""
 
     roll_pitch_yaw: np.ndarray
     angular_velocity_base: np.ndarray
@@ -126,20 +126,20 @@ class Readings:
 
 
 class Probe:
-    """A network whose action is the first part of its observation, and which keeps its observation."""
+    """Network that returns the first part of its observation as action, and stores the observation."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         self.inputs, self.outputs, self.hidden = inputs, outputs, (inputs,)
 
     def add(self, graph: Graph, observation: Value, hidden: list[Value]) -> tuple[Value, list[Value]]:
-        """Add the selection."""
+        """Add the node that selects the action."""
         return graph.select(observation, range(self.outputs)), [observation]
 
 
 def perceptron(
     inputs: int, outputs: int = 12, hidden: int = 16, seed: int = 0, properties: dict | None = None
 ) -> bytes:
-    """Return a small network as rsl_rl exports it, a normalizer and layers with ELU, as ONNX for one robot."""
+    """Return a small ONNX network for one robot in rsl_rl's export format: a normalizer and layers with ELU."""
     random, nodes, constants, name = np.random.default_rng(seed), [], [], "obs"
 
     def constant(label: str, values: np.ndarray) -> str:
@@ -162,7 +162,7 @@ def perceptron(
 
 
 def onnx_model(nodes, constants, inputs: dict, outputs: dict, properties: dict | None = None) -> bytes:
-    """Return a model of ONNX for one robot with these inputs and outputs, each of a width."""
+    """Return an ONNX model for one robot with given inputs and outputs (width by name)."""
     ends = [
         [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1, width]) for name, width in part.items()]
         for part in (inputs, outputs)

@@ -1,4 +1,4 @@
-"""The keeper between a control loop, a watcher and a robot on a clock of the test, so that all times are exact."""
+"""The supervisor between a control loop, a watchdog and a robot, on a simulated clock, so that all times are exact."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from unittest import mock
 import numpy as np
 import pytest
 
-from surefoot.deploy.dds import keeper, low_level
+from surefoot.deploy.dds import low_level, supervisor
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC
 from surefoot.deploy.dds.dds_link import FIRST_TORQUE, make_config
-from surefoot.deploy.dds.keeper import DAMPED, PERIOD, WATCHER_SILENCE, Keeper
 from surefoot.deploy.dds.socket_port import SocketPort
-from surefoot.deploy.dds.state_monitor import LATE, MOTORS
+from surefoot.deploy.dds.state_monitor import MOTORS, STATE_TIMEOUT
+from surefoot.deploy.dds.supervisor import DAMPING_TIME, PERIOD, WATCHDOG_SILENCE, Supervisor
 from surefoot.deploy.messages import Arm, Fault, Hello, Message, Mode, Ping, Position, Reason, State
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.serial.codec import Codec
@@ -26,23 +26,23 @@ from surefoot.robot import RobotDescription
 
 ME = 7
 STEP = 10_000
-"""Time [us] between two commands of the loop."""
+"""Period of the loop's commands [us]."""
 KP, KD = 40.0, 1.5
 LYING = np.tile([0.0, 1.2, -2.6], 4)
 ARMED = 100_000
-"""When the loop asks to arm [us]."""
+"""Time at which the loop asks to arm [us]."""
 EVENT = 500_000
-"""When something happens [us]."""
+"""Time of the tested event [us]."""
 SLACK = 1000
-"""Time [us] between two moments of the test's clock."""
+"""Resolution of the simulated clock [us]."""
 
 
 @dataclass
 class Command:
-    """A command to the robot."""
+    """Command to the robot."""
 
     time: int
-    """When it was written [us]."""
+    """Time at which it was written [us]."""
     kp: float
     kd: float
     target: np.ndarray
@@ -53,7 +53,7 @@ class Command:
 
 
 class Topic:
-    """Messages to the keeper that it has not taken yet."""
+    """Topic with messages that the supervisor has not read yet."""
 
     def __init__(self) -> None:
         self.messages: list[bytes] = []
@@ -64,19 +64,19 @@ class Topic:
 
 
 class Bench:
-    """A keeper with a robot that lies, a loop that arms it and holds its pose, and a watcher that answers."""
+    """A supervisor with a lying robot, a loop that arms it and holds its pose, and a watchdog that answers."""
 
     def __init__(self) -> None:
         self.now = 0
         self.topics: dict[str, Topic] = {}
         self.commands: list[Command] = []
         self.packets: list[Any] = []
-        """What the loop has received."""
+        """Packets that the loop has received."""
         self.target = LYING
-        """What the loop commands."""
-        self.silent = self.loop_silent = self.watcher_silent = False
+        """Target that the loop commands."""
+        self.silent = self.loop_silent = self.watchdog_silent = False
         self.controller = ""
-        """Name that the watcher has heard."""
+        """Name of the active controller, reported by the watchdog."""
         self.events: list[tuple[int, Callable[[], object]]] = []
         self.state = low_level.new_record(low_level.LOW_STATE)
         self.state["head"], self.state["tick"] = low_level.HEAD, 1000
@@ -87,14 +87,14 @@ class Bench:
         self.lean(0.0)
         self._random = np.random.default_rng(0)
         (here, loop), (watch, beats) = socket.socketpair(), socket.socketpair()
-        self.loop, self.watcher = SocketPort(here, "the keeper"), SocketPort(watch, "the keeper")
+        self.loop, self.watchdog = SocketPort(here, "the supervisor"), SocketPort(watch, "the supervisor")
         self._codec, self._number = Codec(MOTORS), 0
         self._decoder = Decoder(self._codec)
         config = make_config(RobotDescription.load("go2"), "lo", 0, (KP, KD))
-        ends = SocketPort(loop, "the loop"), SocketPort(beats, "the watcher")
-        self.keeper = Keeper(config, self, *ends)  # type: ignore[arg-type]
+        ends = SocketPort(loop, "the loop"), SocketPort(beats, "the watchdog")
+        self.supervisor = Supervisor(config, self, *ends)  # type: ignore[arg-type]
 
-    # What the keeper takes for a bus and for a writer.
+    # Interface of a bus and of a writer.
 
     def reader(self, name: str, kind: type, depth: int = 1, others: bool = False) -> Topic:
         return self.topics.setdefault(name, Topic())
@@ -109,7 +109,7 @@ class Bench:
         self.commands.append(Command(self.now, kp, kd, motors["q"].astype(float)))
         return True
 
-    # What the keeper takes for its clock.
+    # Interface of the supervisor's clock.
 
     def monotonic_ns(self) -> int:
         return 1000 * self.now
@@ -118,7 +118,7 @@ class Bench:
         self.wait((), (), (), seconds)
 
     def wait(self, reads: Sequence[Any], _writes: object, _errors: object, seconds: float) -> tuple[Any, ...]:
-        """Let time pass until something can be read, as `select`."""
+        """Advance time until data can be read, like `select`."""
         end = self.now + round(1e6 * seconds)
         while not (ready := select.select(reads, (), (), 0) if reads else ((), (), ()))[0] and self.now < end:
             self.now = min(end, (self.now // SLACK + 1) * SLACK)
@@ -126,7 +126,7 @@ class Bench:
                 self._pass()
         return ready
 
-    # Robot, loop and watcher.
+    # Robot, loop and watchdog.
 
     def lean(self, roll: float) -> None:
         imu = self.state["imu_state"]
@@ -144,12 +144,12 @@ class Bench:
             speed = self.state["motor_state"]["dq"]
             speed[:MOTORS] = 0.05 * self._random.standard_normal(MOTORS)
             self.topics[LOW_STATE_TOPIC].messages.append(low_level.encode(self.state))
-        if self.watcher.is_open and not self.watcher_silent:
+        if self.watchdog.is_open and not self.watchdog_silent:
             try:
-                if self.watcher.read():
-                    self.watcher.write(f"{self.controller}\n".encode())
+                if self.watchdog.read():
+                    self.watchdog.write(f"{self.controller}\n".encode())
             except LinkLostError:
-                self.watcher.close()
+                self.watchdog.close()
         if self.loop.is_open:
             self._run_loop()
 
@@ -170,14 +170,17 @@ class Bench:
             self.loop.close()
 
     def at(self, time: int, action: Callable[[], object]) -> None:
-        """Let something happen at a time [us], later than what was said before."""
+        """Schedule an action at a time [us], later than the earlier ones."""
         self.events.append((time, action))
 
     def run(self, until: int = 1_000_000) -> None:
-        """Run until the loop closes [us], and the keeper has ended."""
+        """Run until the loop closes the link at `until` [us] and the supervisor has ended."""
         self.at(until, self.loop.close)
-        with mock.patch.object(keeper, "time", self), mock.patch.object(keeper, "select", mock.Mock(select=self.wait)):
-            self.keeper.run()
+        with (
+            mock.patch.object(supervisor, "time", self),
+            mock.patch.object(supervisor, "select", mock.Mock(select=self.wait)),
+        ):
+            self.supervisor.run()
 
     def received(self, kind: type[Message]) -> list[Any]:
         """Return the loop's packets of a kind."""
@@ -189,13 +192,13 @@ class Bench:
 
     @property
     def damped(self) -> int:
-        """When the motors were damped [us], for good."""
+        """Time at which the motors were damped for the rest of the run [us]."""
         first = next(k for k, command in enumerate(self.commands) if command.damps)
         assert all(command.damps for command in self.commands[first:])
         return self.commands[first].time
 
     def close(self) -> None:
-        for port in (self.loop, self.watcher):
+        for port in (self.loop, self.watchdog):
             port.close()
 
 
@@ -206,18 +209,18 @@ def bench() -> Iterator[Bench]:
     bench.close()
 
 
-def test_commands_begin_with_the_arming_have_gains_and_a_period_and_damp_once_the_loop_is_gone(bench: Bench) -> None:
+def test_commands_start_with_arming_and_damp_once_the_loop_has_ended(bench: Bench) -> None:
     bench.target = LYING + 0.02
     bench.run(until=EVENT)
     held = [command for command in bench.commands if not command.damps]
     assert ARMED <= held[0].time <= ARMED + PERIOD + SLACK
-    np.testing.assert_allclose(held[0].target, LYING, atol=1e-6)  # the present pose, until a command comes
+    np.testing.assert_allclose(held[0].target, LYING, atol=1e-6)  # the present pose until the first command
     np.testing.assert_allclose(held[-1].target, LYING + 0.02, atol=1e-6)
     assert {(command.kp, command.kd) for command in held} == {(KP, KD)}
     times = [command.time for command in bench.commands]
     assert set(np.diff(times)) == {PERIOD}
     assert EVENT <= bench.damped <= EVENT + PERIOD
-    assert bench.commands[-1].time == pytest.approx(EVENT + DAMPED, abs=2 * PERIOD)
+    assert bench.commands[-1].time == pytest.approx(EVENT + DAMPING_TIME, abs=2 * PERIOD)
     assert bench.reasons == []
 
 
@@ -227,19 +230,19 @@ def test_a_robot_that_was_never_armed_gets_no_command(bench: Bench) -> None:
     assert bench.now < ARMED + STEP
 
 
-def test_time_is_the_robots(bench: Bench) -> None:
+def test_time_follows_the_robots_tick(bench: Bench) -> None:
     bench.run(until=EVENT)
     last = bench.received(State)[-1]
     assert last.time == pytest.approx(1e-6 * EVENT + 1.0, abs=0.004)  # its tick began at a second
 
 
-def test_duties_are_refused(bench: Bench) -> None:
+def test_duties_are_rejected(bench: Bench) -> None:
     bench.at(ARMED - STEP // 2, lambda: bench.send(Arm(ME, int(Mode.PWM), 1e-6 * STEP, 0.005)))
     bench.run(until=EVENT)
     assert bench.reasons == [Reason.MODE]
 
 
-def test_a_first_command_that_jumps_is_refused(bench: Bench) -> None:
+def test_a_first_command_with_a_jump_damps(bench: Bench) -> None:
     bench.target = LYING + 1.1 * FIRST_TORQUE / KP
     bench.run(until=EVENT)
     assert bench.reasons[0] == Reason.COMMAND
@@ -260,12 +263,12 @@ def hush_loop(bench: Bench) -> None:
     bench.loop_silent = True
 
 
-def hush_watcher(bench: Bench) -> None:
-    bench.watcher_silent = True
+def hush_watchdog(bench: Bench) -> None:
+    bench.watchdog_silent = True
 
 
-def kill_watcher(bench: Bench) -> None:
-    bench.watcher.close()
+def kill_watchdog(bench: Bench) -> None:
+    bench.watchdog.close()
 
 
 def name_controller(bench: Bench) -> None:
@@ -287,16 +290,16 @@ def switch_motor_off(bench: Bench) -> None:
 @pytest.mark.parametrize(
     ("event", "reason", "text", "least", "most"),
     [
-        # A command came at the event; the data sheet's time-out is 55 ms.
+        # A command arrived at the event; the data sheet's timeout is 55 ms.
         (hush_loop, Reason.TIMEOUT, "", 55_000 - STEP, 55_000 + PERIOD + SLACK),
-        (end_silently, Reason.STATES_LATE, "", LATE - PERIOD, LATE + 2 * PERIOD),
+        (end_silently, Reason.STATES_LATE, "", STATE_TIMEOUT - PERIOD, STATE_TIMEOUT + 2 * PERIOD),
         (lean, Reason.TILT, "", 0, 3 * PERIOD),
         (switch_motor_off, Reason.MOTOR_OFF, "FR_hip_joint is off (mode 0)", 0, 3 * PERIOD),
         (publish_sport, Reason.OWN_CONTROLLER, "messages on rt/sportmodestate", 0, 6 * PERIOD),
         (name_controller, Reason.OWN_CONTROLLER, "the robot's own controller 'mcf' is active", 0, 6 * PERIOD),
         (command_from_elsewhere, Reason.OTHER_PROGRAM, "another program commands the motors", 0, 6 * PERIOD),
-        (kill_watcher, Reason.WATCHER, "the watcher process has ended or hangs", 0, 4 * PERIOD),
-        (hush_watcher, Reason.WATCHER, "", WATCHER_SILENCE, WATCHER_SILENCE + 6 * PERIOD),
+        (kill_watchdog, Reason.WATCHDOG, "the watchdog process has ended or hangs", 0, 4 * PERIOD),
+        (hush_watchdog, Reason.WATCHDOG, "", WATCHDOG_SILENCE, WATCHDOG_SILENCE + 6 * PERIOD),
     ],
 )
 def test_a_fault_damps_in_time(
@@ -307,12 +310,12 @@ def test_a_fault_damps_in_time(
     assert bench.reasons[0] == reason
     assert text in bench.received(Fault)[0].message.text
     assert least <= bench.damped - EVENT <= most
-    # Commands go on without a gap.
+    # Commands continue without a gap.
     assert set(np.diff([command.time for command in bench.commands])) == {PERIOD}
 
 
 def test_a_stick_of_the_remote_control_asks_to_sit_and_does_not_damp(bench: Bench) -> None:
-    stick = low_level.Remote(frozenset(), 0.8, 0.0, 0.0, 0.0).encode()
+    stick = low_level.RemoteControl(frozenset(), 0.8, 0.0, 0.0, 0.0).encode()
     bench.at(EVENT, lambda: bench.state.__setitem__("wireless_remote", stick))
     bench.run(until=2 * EVENT)
     state = bench.received(State)[-1].message
