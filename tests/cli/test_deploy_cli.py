@@ -20,6 +20,7 @@ from fault_bench import QUICK
 from processes import SUREFOOT, EmulatorHere, assert_rejected, emulators, surefoot
 
 from surefoot.deploy.motion_capture import read_capture
+from surefoot.evaluation.estimated_motion import with_estimated_motion
 from surefoot.evaluation.recorded import find_traces
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -73,6 +74,9 @@ def test_the_trot_covers_the_same_distance_as_in_simulation(emulate, tmp_path, r
     trace = EpisodeTrace.load(run["trace"])
     assert trace.base_position_world[0, :2] == pytest.approx(0.0, abs=1e-9)
     assert trace.base_position_world[-1, 0] == pytest.approx(run["distance"])
+    blind = {name: np.full_like(getattr(trace, name), np.nan) for name in ("base_position_world", "base_quat_world")}
+    estimated = with_estimated_motion(replace(trace, **blind), trace.load_robot())
+    assert estimated.base_position_world[-1, 0] == pytest.approx(run["distance"], rel=0.03)
     assert trace.feedback == pytest.approx(policy.feedback(trace.observation), abs=1e-5)
     assert trace.observation[1:, 0] == pytest.approx(trace.roll_pitch_yaw[:-1, 0], abs=1e-7)
     assert_readings_are_20_ms_old(trace, capture)

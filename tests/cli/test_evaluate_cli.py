@@ -190,7 +190,9 @@ def test_recorded_runs_have_the_same_metrics(recorded: tuple[Path, dict[str, obj
     assert re.search(r"falls +\d of 2", two.stdout)
 
 
-def test_power_is_measured_without_a_measured_position(recorded: tuple[Path, dict[str, object]], tmp_path: Path):
+def test_the_motion_of_a_robot_without_a_measured_position_is_estimated(
+    recorded: tuple[Path, dict[str, object]], tmp_path: Path
+):
     from surefoot.task.trace import EpisodeTrace
 
     trace = EpisodeTrace.load(sorted(recorded[0].glob("*.npz"))[0])
@@ -200,7 +202,10 @@ def test_power_is_measured_without_a_measured_position(recorded: tuple[Path, dic
     done = surefoot("evaluate", "--trace", tmp_path / "runs", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     rows = dict(re.findall(r"^ ?(\S.*?)  +(\S.*?) *$", done.stdout, re.MULTILINE))
-    assert rows["speed"] == rows["return"] == rows["gait"] == "-"
+    assert rows["gait"] == "-"
+    travelled = trace.base_position_world[-1, 0] - trace.base_position_world[0, 0]
+    assert float(rows["distance"].split()[0]) == pytest.approx(travelled, rel=0.05, abs=0.05)
+    assert "are estimated from IMU and legs" in done.stdout
     assert rows["power"] == f"{trace.energy.sum() / trace.duration:.3f} W"
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["episode.png"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -110,6 +111,23 @@ def test_home_is_the_training_simulator_and_targets_have_the_data_sheets_robot(h
     assert away.meta["params"]["servo_latency"] == nominal["servo_latency"]
     assert (home.meta["actuator"], away.meta["actuator"]) == ("constraint", "dc")
     assert home.meta["world"] == away.meta["world"] == "mujoco"
+
+
+def test_a_robot_without_motion_capture_has_an_estimated_return(here: Path):
+    result(["trot.onnx", "--to", "mujoco", "--episodes", "2"])
+    for file in sorted(Path("gap/trot/mujoco-away").glob("*.npz")):
+        trace = EpisodeTrace.load(file)
+        unknown = {
+            name: np.full_like(getattr(trace, name), np.nan) for name in ("base_position_world", "base_quat_world")
+        }
+        replace(trace, **unknown, meta={**trace.meta, "world": "robot"}).save(Path("robot") / file.name)
+    sides = ["--from", "trace", "gap/trot/mujoco-away", "--to", "trace", "robot", "--out", "compared"]
+    output = result(["trot.onnx", *sides])
+    assert output["estimated"] == ["robot/run_000.npz", "robot/run_001.npz"]
+    measured, estimated = output["policies"][0]["worlds"]
+    # These runs last a third of a second, in which the trot begins.
+    assert estimated["return_mean"] == pytest.approx(measured["return_mean"], abs=0.03)
+    assert abs(estimated["distance_mean"]) > 0.01
 
 
 def test_the_same_worlds_have_no_gap(here: Path):

@@ -39,6 +39,8 @@ def test_the_panel_shows_the_contents_of_messages():
     panel.update({"title": "trot on minitaur", "recording": "recording to run_000.npz"})
     panel.update({"phase": "run", "left": 2.0, "rate": 166.7, "lateness": [0.01] * 98 + [1.0, 3.0], "inference": 0.09})
     panel.update({"missed": 1, "dropped": 2, "state_age": 1.2, "voltage": 15.7, "temperature": 31.0})
+    assert dict(panel.rows())["estimated speed"] == "-"
+    panel.update({"speed": [0.42, -0.03, 3.24]})
     panel.update({"roll": -0.02, "pitch": 0.11, "warning": "battery below 14.4 V"})
     rows = dict(panel.rows())
     assert rows["phase"] == "run, 2.0 s left"
@@ -48,6 +50,7 @@ def test_the_panel_shows_the_contents_of_messages():
     assert rows["battery"] == "15.7 V"
     assert rows["hottest motor"] == "31 degC"
     assert rows["roll, pitch"] == "-0.02, +0.11 rad"
+    assert rows["estimated speed"] == "0.42 forward, -0.03 left m/s, 3.2 m"
     assert rows["recording"] == "to run_000.npz"
     assert panel.warnings == ["battery below 14.4 V"]
 

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from surefoot.deploy.messages import Handshake
     from surefoot.deploy.pacer import LoopTiming
     from surefoot.deploy.run_saver import SavedRun
+    from surefoot.robot import RobotDescription
 
 _BROWSER_DURATION = 600.0
 """Default duration of a run with --browser [s]."""
@@ -184,7 +185,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
         saver.begin()
         outcome = deployment.run(saver.recorder, timing)
         saved = saver.finish(outcome, timing, command.motion_capture)
-        results.append(_result(outcome, timing, saved, saver.recorder.steps))
+        results.append(_result(outcome, timing, saved, saver.recorder.steps, deployment.robot))
         if outcome.safe or saved.lost:
             code = SAFETY_STOP
         if outcome.ended != "time" or outcome.safe:
@@ -192,13 +193,19 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     return results, code
 
 
-def _result(outcome: RunOutcome, timing: LoopTiming, saved: SavedRun, steps: int) -> dict[str, Any]:
+def _result(
+    outcome: RunOutcome, timing: LoopTiming, saved: SavedRun, steps: int, robot: RobotDescription
+) -> dict[str, Any]:
+    from surefoot.evaluation.estimated_motion import is_estimated, with_estimated_motion
+
     speed = distance = None
+    estimated = False
     if saved.trace is not None:
-        forward = saved.trace.base_position_world[:, 0]
+        trace = with_estimated_motion(saved.trace, robot)
+        forward, estimated = trace.base_position_world[:, 0], is_estimated(trace)
         if math.isfinite(forward[-1] - forward[0]):
             distance = float(forward[-1] - forward[0])
-            speed = distance / saved.trace.duration
+            speed = distance / trace.duration
     return {
         "ended": outcome.ended,
         "reason": outcome.reason,
@@ -207,6 +214,7 @@ def _result(outcome: RunOutcome, timing: LoopTiming, saved: SavedRun, steps: int
         "trace": str(saved.path) if saved.path is not None else None,
         "distance": distance,
         "speed": speed,
+        "estimated": estimated,
         "notes": saved.notes,
         "timing": timing.metrics(),
     }
@@ -244,7 +252,8 @@ def _print_result(result: dict[str, Any]) -> None:
         f"{result['steps']} steps",
     ]
     if result["distance"] is not None:
-        parts.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s")
+        how = ", estimated" if result["estimated"] else ""
+        parts.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s{how}")
     if metrics["lateness_median_ms"] is not None:
         late = "/".join(f"{metrics[f'lateness_{key}_ms']:.2f}" for key in ("median", "p99_9", "max"))
         parts.append(f"lateness {late} ms (median/99.9 %/max)")

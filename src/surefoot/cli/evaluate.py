@@ -89,6 +89,10 @@ def main(argv: list[str]) -> int:
         print_json(summary)
     else:
         print_summaries({f"{summary['policy']} in {summary['world']}": summary}, reward)
+        if "estimated" in summary:
+            from surefoot.evaluation.estimated_motion import NOTE
+
+            print(NOTE)
         for file in summary.get("files", []):
             if file.endswith(".png"):
                 print(f"wrote {file}")
@@ -158,6 +162,7 @@ def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation
         option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
         raise SurefootError(f"--trace and {option} are given; recorded runs are measured without a simulation")
     from surefoot.api.results import Evaluation
+    from surefoot.evaluation.estimated_motion import DISTANCE_ERRORS, is_estimated, with_estimated_motion
     from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.robot import RobotDescription
 
@@ -170,5 +175,8 @@ def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation
                 "runs that are measured together must be from the same robot"
             )
     make_figures_folder(command.out)
-    evaluation = Evaluation.from_traces([trace for _, trace in recorded], robot)
-    return evaluation, robot, {"traces": [str(path) for path, _ in recorded]}
+    traces = [with_estimated_motion(trace, robot) for _, trace in recorded]
+    about: dict[str, Any] = {"traces": [str(path) for path, _ in recorded]}
+    if estimated := [str(path) for (path, _), trace in zip(recorded, traces, strict=True) if is_estimated(trace)]:
+        about |= {"estimated": estimated, "estimated_distance_errors": DISTANCE_ERRORS}
+    return Evaluation.from_traces(traces, robot), robot, about

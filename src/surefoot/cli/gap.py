@@ -147,6 +147,7 @@ def main(argv: list[str]) -> int:
 
     home, away = parse_side("--from", command.home), [parse_side("--to", words) for words in command.away]
     _check_sides(command, home, away)
+    from surefoot.evaluation.estimated_motion import with_estimated_motion
     from surefoot.evaluation.recorded import assign_to_policies, find_traces, save_runs
     from surefoot.evaluation.runs import common_value
     from surefoot.world.process_world import worker_pool
@@ -164,7 +165,11 @@ def main(argv: list[str]) -> int:
             worlds.append(side)
             continue
         traces = find_traces(side)
-        recorded[side] = assign_to_policies(traces, [one.name for one in candidates], robot.name)
+        assigned = assign_to_policies(traces, [one.name for one in candidates], robot.name)
+        recorded[side] = {
+            name: [(path, with_estimated_motion(trace, robot)) for path, trace in runs]
+            for name, runs in assigned.items()
+        }
         with prefix_errors(_text(side)):
             worlds.append(common_value([trace for _, trace in traces], "world"))
     labels = make_labels(worlds, sides)
@@ -221,6 +226,7 @@ def _report(
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
+    from surefoot.evaluation.estimated_motion import DISTANCE_ERRORS, NOTE, is_estimated
     from surefoot.evaluation.gap import PolicyGap, gap_cells
     from surefoot.evaluation.runs import measure_runs
     from surefoot.report.figures.gap import gap_figure
@@ -228,6 +234,13 @@ def _report(
     from surefoot.tables import plain_rows, print_files, print_table, write_csv
 
     out, gaps, episodes, figures = command.out, [], [], []
+    estimated = [
+        str(path)
+        for worlds in runs.values()
+        for recorded in worlds.values()
+        for path, trace in recorded
+        if is_estimated(trace)
+    ]
     unit = min(at_home.return_unit(robot) for at_home, _ in tasks.values())
     for name, worlds in runs.items():
         traces = {world: [trace for _, trace in recorded] for world, recorded in worlds.items()}
@@ -251,6 +264,8 @@ def _report(
             for row in part
         ]
         print_table(texts, title, 2)
+        if estimated:
+            print(NOTE)
         print_files(files, out)
         first = next(iter(runs.values()))
         print(show_command(recorded[0][0] for recorded in first.values()))
@@ -275,6 +290,7 @@ def _report(
             for one in candidates
         ],
         "pooled": plain[pooled[0].name] if pooled else None,
+        **({"estimated": estimated, "estimated_distance_errors": DISTANCE_ERRORS} if estimated else {}),
         "files": [str(file) for file in files],
     }
     print_json(result)

@@ -19,6 +19,7 @@ from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import GO, Act, Verdict
+from surefoot.deploy.speedometer import Speedometer
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.robot.commands import STAND_COMMAND
 from surefoot.stop_signals import StopSignals
@@ -215,6 +216,7 @@ class Deployment:
     def _run_policy(self, loop: ControlLoop, recorder: Recorder) -> Verdict:
         controller = self.controller
         controller.reset()
+        speedometer, shown = Speedometer(self.robot, self.contract.control_step), 0
         clamped = ""
 
         def compute(k: int, state: State, missed: int) -> Array:
@@ -232,8 +234,11 @@ class Deployment:
             return target
 
         def after(k: int, state: State, computed: bool) -> None:
+            nonlocal shown
             if k == 0:
                 recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
+            speedometer.update(state, max(k - shown, 1))
+            shown, loop.speed = k, (*speedometer.velocity.tolist(), speedometer.distance)
             recorder.complete_rows(k, state)
             if computed:
                 recorder.start_row(

@@ -78,6 +78,7 @@ class LiveDisplay(RunMonitor):
             "temperature": float(np.max(state.temperature)),
             "roll": round(float(state.roll_pitch_yaw[0]), 3),
             "pitch": round(float(state.roll_pitch_yaw[1]), 3),
+            "speed": None if snapshot.speed is None else [round(one, 2) for one in snapshot.speed],
         }
 
     def close(self) -> None:
@@ -149,6 +150,10 @@ class StatusPanel:
         if self._lateness:
             median, high, maximum = np.percentile(self._lateness, (50, 99, 100))
             late = f"{median:.2f} median, {high:.2f} 99 %, {maximum:.2f} max ms"
+        speed = "-"
+        if values.get("speed") is not None:
+            forward, left, distance = values["speed"]
+            speed = f"{forward:.2f} forward, {left:+.2f} left m/s, {distance:.1f} m"
         return [
             ("phase", str(values["phase"]) + (f", {values['left']:.1f} s left" if values.get("left") else "")),
             ("loop", text("rate", ".1f", "Hz")),
@@ -160,6 +165,7 @@ class StatusPanel:
             ("battery", text("voltage", ".1f", "V")),
             ("hottest motor", text("temperature", ".0f", "degC")),
             ("roll, pitch", f"{text('roll', '+.2f', '')}, {text('pitch', '+.2f', 'rad')}"),
+            ("estimated speed", speed),
             ("recording", str(values["recording"]).removeprefix("recording ") or "-"),
         ]
 

@@ -51,6 +51,8 @@ class Snapshot:
     state: State
     dropped: int
     """Frames that were lost or damaged in the whole run."""
+    speed: tuple[float, float, float] | None = None
+    """Estimated speeds forward and to the left [m/s], and length of the path [m]; None while no policy runs."""
 
 
 class RunMonitor:
@@ -105,6 +107,8 @@ class ControlLoop:
         """Last motor target sent (M,): angles [rad], or duties in PWM mode."""
         self.inference = math.nan
         """Inference time in this step [s]; set by the caller that runs the policy."""
+        self.speed: tuple[float, float, float] | None = None
+        """Estimated speeds and path length, see `Snapshot`; set by whoever runs the policy."""
         self._phase, self._steps = "", 0
         self._states = link.states
         self._reported, self._reported_steps, self._reported_warnings = -math.inf, 0, 0
@@ -216,6 +220,7 @@ class ControlLoop:
                 state_age=self.link.state_age(),
                 state=state,
                 dropped=statistics.missing + statistics.damaged,
+                speed=self.speed,
             )
         )
         self._reported, self._reported_steps, self._longest_inference = now, self.timing.steps, math.nan

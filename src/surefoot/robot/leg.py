@@ -67,6 +67,13 @@ class Legs(Protocol):
     def jacobian(self, angles: ArrayLike) -> Array:
         """Return the Jacobian (..., L, 3, m) [m/rad] of `foot_position` with respect to the motor angles."""
 
+    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
+        """Return the orientation (..., L, 2) [rad] of the feet's links in the base frame.
+
+        Abduction about +x, then, in the leg's plane, the angle of the line from knee to foot about +y from straight
+        down. `foot` (..., L, 3) is what `foot_position` returns for the angles.
+        """
+
     def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
         """Return whether each leg (..., L) can assume these motor angles."""
 
@@ -158,6 +165,14 @@ class FiveBar:
         knee_speed = np.stack([np.zeros_like(speed_2), speed_2], -1)
         plane = knee_speed + (np.linalg.solve(along, right) - knee_speed) * (self.foot / self.lower[1])
         return np.insert(plane, 1, 0.0, axis=-2)
+
+    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
+        """Return the orientation (..., 2) [rad] of the lower link of motor 2: no abduction, and its angle about +y."""
+        _, theta_2 = _unstack(angles)
+        link = np.zeros((*theta_2.shape, 2))
+        ahead, above = foot[..., 0] + self.upper * np.sin(theta_2), foot[..., 2] - self.upper * np.cos(theta_2)
+        link[..., 1] = np.arctan2(-ahead, -above)
+        return link
 
     def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
         """Return swing and extension (...) [rad] for foot positions (..., 2) [m] relative to the motor axis.

@@ -207,6 +207,11 @@ class SerialLegs:
             columns = [np.stack([np.zeros_like(cos), -foot[..., 2], foot[..., 1]], -1), *columns]
         return np.stack(columns, axis=-1) * self.turn[:, None, :]
 
+    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
+        """Return the orientation (..., L, 2) [rad] of the lower links: abduction about +x, then the angle about +y."""
+        abduction, upper, beta = self._joints(angles)
+        return np.stack([abduction, upper + beta], axis=-1)
+
     def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
         """Return true for each leg (..., L) with finite angles: a serial leg has no loop that must close."""
         return np.isfinite(np.asarray(angles, float)).all(axis=-1)

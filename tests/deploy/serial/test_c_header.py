@@ -299,9 +299,7 @@ def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak:
             decoded.append((int(first), int(rest[0]), int(rest[1]), CODEC.pack(message)))
     assert decoded == expected
     seen = decoder.statistics
-    assert counts.split() == [
-        str(count) for count in (seen.received, seen.damaged, seen.foreign, seen.unknown)
-    ]
+    assert counts.split() == [str(count) for count in (seen.received, seen.damaged, seen.foreign, seen.unknown)]
     assert seen.received > 400
     assert min(seen.damaged, seen.foreign, seen.unknown) > 15
 
