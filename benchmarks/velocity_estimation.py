@@ -120,8 +120,8 @@ def main(command: Command) -> None:
         write_csv(path, sorted(table.values(), key=_place))
 
 
-def _place(row: dict[str, Any]) -> tuple[bool, int]:
-    """Return where a row stands: MuJoCo first, cases in their order."""
+def _place(row: Mapping[str, Any]) -> tuple[bool, int]:
+    """Return the sort key of a row: MuJoCo first, cases in their order."""
     case, _, world = str(row["case"]).partition("/")
     return bool(world), list(CASES).index(case)
 

@@ -137,7 +137,8 @@ def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
 
 
 def test_a_policy_without_commands_rejects_a_source_of_commands(emulate):
-    assert_rejected(deploy(emulate().port, "--commands", "5555"), "--commands is given; policy 'trot' follows no commands")
+    done = deploy(emulate().port, "--commands", "5555")
+    assert_rejected(done, "--commands is given; policy 'trot' follows no commands")
 
 
 @pytest.fixture
