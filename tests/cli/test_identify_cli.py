@@ -326,7 +326,7 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
     assert_rejected(
         identify(*words, "--hold-out", "quick"), "--hold-out names 'quick', which is not a log; choices: fast, slow"
     )
-    assert_rejected(identify("--trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
+    assert_rejected(identify("--trace", logs, "--rack", "slow"), "--rack is for logs of a robot with joint actuators")
     how = ("--rack", "fast", "slow", "--hold-out", "fast", "--fit", "control_latency", "--out", out)
     done = identify(*words, *how, "--json")
     assert done.returncode == 0, done.stderr

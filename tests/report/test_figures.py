@@ -253,7 +253,7 @@ def test_tracking_figure_draws_errors_at_their_commands(tmp_path: Path, make_run
     assert tracking_figure(runs, tmp_path / "tracking.png").stat().st_size > 1000
     panels = [ax for ax in drawn[0].axes if ax.get_title(loc="left")]
     assert [ax.get_title(loc="left") for ax in panels] == 2 * [
-        f"error {name}" for name in ("forward", "to the left", "yaw rate")
+        f"error {name}" for name in ("forward", "lateral", "yaw rate")
     ]
     meshes = [np.ma.filled(ax.collections[0].get_array(), np.nan) for ax in panels]
     forward, left, turn = meshes[:3]
