@@ -261,6 +261,6 @@ def test_tracking_figure_draws_errors_at_their_commands(tmp_path: Path, make_run
     np.testing.assert_allclose(left, np.zeros((2, 3)), atol=1e-9)
     np.testing.assert_allclose(turn, np.full((2, 3), 0.5), atol=1e-9)
     np.testing.assert_allclose(meshes[4], [[0.2], [0.2]], atol=1e-9)
-    assert [ax.get_ylabel().split(" (")[0] for ax in panels] == 3 * ["yaw rate"] + 3 * ["to the left"]
+    assert [ax.get_ylabel().split(" (")[0] for ax in panels] == 3 * ["yaw rate"] + 3 * ["lateral"]
     crosses = [tuple(np.concatenate(ax.lines[0].get_data()).tolist()) for ax in panels]
     assert crosses == 3 * [(1.0, 0.5)] + 3 * [()]
