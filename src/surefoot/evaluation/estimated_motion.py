@@ -121,7 +121,7 @@ def with_estimated_motion(trace: EpisodeTrace, robot: RobotDescription) -> Episo
     motion is known, an imported log and a dry run are returned as they are.
     """
     known = np.isfinite(trace.base_position_world).any()
-    if known or trace.imported or trace.meta.get("dry_run"):
+    if known or trace.is_imported or trace.meta.get("dry_run"):
         return trace
     (motion,) = estimate_motion([trace], robot)
     yaw = np.unwrap(trace.roll_pitch_yaw[:, 2])
