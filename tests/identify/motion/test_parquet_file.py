@@ -172,4 +172,6 @@ def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(SurefootError, match="reading it needs pyarrow: pip install pyarrow, or save the log as CSV"):
         read_table(tmp_path / "log.parquet")
-    assert_rejected(run_surefoot("identify", "import", tmp_path / "x.parquet", "--robot", "go2", "--out", "x.npz"), "No such")
+    assert_rejected(
+        run_surefoot("identify", "import", tmp_path / "x.parquet", "--robot", "go2", "--out", "x.npz"), "No such"
+    )
