@@ -89,7 +89,7 @@ def test_the_drive_page_runs_a_policy_with_a_plugin(run: Path, plugin: Path) -> 
 @pytest.fixture
 def emulate() -> Iterator[Callable[..., Any]]:
     """Start emulators whose robots stand up quickly, and which are ended with the test."""
-    with mock.patch.multiple(motion_runner, UP=0.3, SHUTDOWN_TIME=0.3), emulators(EmulatorHere) as start:
+    with mock.patch.multiple(motion_runner, STARTUP_TIME=0.3, SHUTDOWN_TIME=0.3), emulators(EmulatorHere) as start:
         yield start
 
 
