@@ -140,7 +140,7 @@ class PolicySpecification:
         if self.joint_signs is not None and not {*self.joint_signs} <= {1.0, -1.0}:
             raise SurefootError(f"joint_signs are {list(self.joint_signs)}; each must be 1 or -1")
         if not self.observations:
-            raise SurefootError("observations are empty; a policy observes something")
+            raise SurefootError("observations are empty; name at least one")
         if self.history_by == "step" and len({term.steps for term in self.observations}) > 1:
             raise SurefootError("history_by is step, so all observations must have the same steps")
 

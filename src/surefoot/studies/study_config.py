@@ -259,7 +259,7 @@ def group_config(study: StudyConfig, group: str, identified: ParamsFile | None =
 def study_runs(
     study: StudyConfig, root: Path, only: tuple[str, ...] = (), robots: Path | None = None
 ) -> list[Training]:
-    """Return the trainings of a study, seed by seed, so that an interrupted study has runs of every group.
+    """Return the training runs of a study, seed by seed, so that an interrupted study has runs of every group.
 
     Args:
         study: the study.

@@ -37,7 +37,7 @@ class EpisodeMetrics(Component):
 
 
 class StepInfo(Component):
-    """Description of every control step."""
+    """Entries of `info` that describe the control step that just ended."""
 
     def info(self, state: EnvState) -> Mapping[str, Any]:
         """Return quantities of the control step that just ended, for N robots with M motors.

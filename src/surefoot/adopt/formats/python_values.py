@@ -1,4 +1,4 @@
-"""Static reader of the numbers, texts and tables that the classes of a Python file assign; the file is not run.
+"""Static reader of the numbers, strings and dictionaries that the classes of a Python file assign; the file is not run.
 
 Arithmetic of literals and previously assigned names is evaluated. Any other assigned value becomes a `Computed`.
 """

@@ -52,7 +52,7 @@ def check_interface(name: str) -> str:
         if not _flags(name) & _IFF_UP:
             raise SurefootError(f"network interface {name} is down; it must be up: sudo ip link set {name} up")
         if (folder / "operstate").read_text().strip() == "down":
-            raise SurefootError(f"network interface {name} has no carrier; check the cable and the robot's switch")
+            raise SurefootError(f"network interface {name} has no carrier; check the cable, and that the robot is on")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, struct.pack("256s", name.encode()[:15]))

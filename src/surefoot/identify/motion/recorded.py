@@ -116,7 +116,7 @@ class RecordedMotion:
 
     @property
     def computed_clock(self) -> bool:
-        """Whether the times look computed: all steps are equal to a thousandth, which no measured clock achieves.
+        """Whether the times look computed: all steps are equal within 0.1 %, as no measured clock has them.
 
         A log that states its clock is taken at its word.
         """

@@ -94,7 +94,7 @@ def correlated_noise(model: ReplayModel, residuals: Array, noise: Sequence[float
 
 
 def fitted_part(motion: RecordedMotion, seconds: float | None) -> RecordedMotion:
-    """Return the fitted part of a log: its first `seconds`, by default as much as a replay follows well."""
+    """Return the part of a log to fit: its first `seconds`, which default to `RACK_SECONDS` or `GROUND_SECONDS`."""
     return motion.first_seconds(seconds or (RACK_SECONDS if motion.rack else GROUND_SECONDS))
 
 
