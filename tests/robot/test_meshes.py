@@ -213,7 +213,7 @@ def test_unreadable_visuals_are_noted_and_the_written_folder_loads(tmp_path: Pat
     visuals = visual("solid.obj", "1e4 1e4 1e4") + visual("solid.obj", "1 0 1") + visual("line.obj", "1 1 1")
     (tmp_path / "solo.urdf").write_text(add_visuals(visuals))
     imported = read_robot(tmp_path / "solo.urdf")
-    message = "link 'front_left_upper': visual: scale is 1 0 1; the product of its three factors must be 1e-15 to 1e+15"
+    message = "link 'front_left_upper': visual: scale is 1 0 1; the product of its factors must be 1e-15 to 1e+15"
     assert f"not drawn: {message}" in imported.notes
     message = "shapes of front_left_upper have no area, or are farther away than 1000 m"
     assert f"not drawn: {message}" in imported.notes

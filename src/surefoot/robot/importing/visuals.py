@@ -90,7 +90,7 @@ def read_urdf_visuals(
                     continue
                 if mesh is not None and not 1e-15 < abs(np.linalg.det(frame)) < 1e15:
                     raise SurefootError(
-                        f"{where}: scale is {mesh.get('scale')}; the product of its three factors must be 1e-15 to 1e+15"
+                        f"{where}: scale is {mesh.get('scale')}; the product of its factors must be 1e-15 to 1e+15"
                     )
             except SurefootError as error:
                 problems.append(str(error).removeprefix(f"{path}: "))
