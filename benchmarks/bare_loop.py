@@ -1,4 +1,4 @@
-"""A loop without work beside a measurement in real time: for how long the computer itself stands still."""
+"""Idle loop that runs during a real-time measurement, to measure interruptions by the computer itself."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import sys
 
 
 class BareLoop:
-    """A process of a board's priority that only wakes every 2 ms: what the computer itself is late by."""
+    """Process with the board's priority that only wakes up every 2 ms; its gaps are the computer's own delays."""
 
     _PROGRAM = """if True:
         import json, sys, threading, time
-        from surefoot.deploy.pacer import BOARD_PRIORITY, undisturbed
+        from surefoot.deploy.pacer import BOARD_PRIORITY, real_time_priority
         ended, gaps = threading.Event(), []
         threading.Thread(target=lambda: (sys.stdin.read(), ended.set()), daemon=True).start()
-        with undisturbed(BOARD_PRIORITY):
+        with real_time_priority(BOARD_PRIORITY):
             due = last = time.monotonic()
             while not ended.is_set():
                 due = max(due + 0.002, last)
@@ -33,6 +33,6 @@ class BareLoop:
         )
 
     def end(self) -> dict[str, float]:
-        """End it; return the 99th percentile and the greatest of the times [ms] between its wakes."""
-        figures: dict[str, float] = json.loads(self._process.communicate()[0])
-        return figures
+        """End the process; return the 99th percentile and the maximum time between wake-ups [ms]."""
+        summary: dict[str, float] = json.loads(self._process.communicate()[0])
+        return summary

@@ -1,7 +1,7 @@
-"""A world of MuJoCo alone: stairs of box geoms, which feet and bodies meet by MuJoCo's own contacts.
+"""World with stairs of box geoms, whose contacts with feet and bodies are MuJoCo's own.
 
-All else is as in the world `mujoco`: servos, motors, delays and sensors. Friction has an elliptic cone and impratio 10:
-in a pyramidal cone feet creep (docs/decisions/physics.md).
+Servos, motors, delays and sensors are those of the world `mujoco`. Friction has an elliptic cone and impratio 10, since
+feet creep with a pyramidal cone (docs/decisions/physics.md).
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from surefoot.world.ground import FLAT, Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_engine import MujocoEngine
 from surefoot.world.mujoco_model import build_spec
-from surefoot.world.terrain import HALF, START, TREAD
+from surefoot.world.terrain import HALF_SIDE, START_HALF_SIDE, TREAD_DEPTH
 
 DEEP = 1.0
-"""How far boxes go down below the floor [m]."""
+"""Depth of the boxes below the floor [m]."""
 
 
 class BoxEngine(MujocoEngine):
-    """MuJoCo with stairs of boxes in place of a `Ground` of stairs upward."""
+    """MuJoCo engine with stairs of boxes instead of a `Ground` of upward stairs."""
 
     def _build(self, robot: RobotDescription, config: WorldConfig) -> mujoco.MjModel:
         spec = build_spec(robot, replace(config, ground=FLAT))
@@ -48,19 +48,19 @@ class BoxEngine(MujocoEngine):
         return spec.compile()
 
     def _layout(self) -> Any:
-        # Without feet for the law of `surefoot.world.contact`, and with contacts of all shapes all the time.
+        # No feet for the contact law of `surefoot.world.contact`; MuJoCo's contacts of all geoms are always on.
         none = np.zeros(0, np.int64)
         return super()._layout()._replace(foot_geom=none, shape_geom=none)
 
 
 def _boxes(ground: Ground) -> list[tuple[list[float], list[float]]]:
-    """Return middles and half sides [m] of the boxes of stairs upward: four a step, around the level place."""
+    """Return centers and half sizes [m] of the boxes of upward stairs: four per step, around the level center."""
     boxes = []
-    for step in range(0 if ground.is_flat else round((HALF - START) / TREAD)):
-        near = START + step * TREAD
-        top = float(ground.height(np.array([near + 0.5 * TREAD, 0.0])))
+    for step in range(0 if ground.is_flat else round((HALF_SIDE - START_HALF_SIDE) / TREAD_DEPTH)):
+        near = START_HALF_SIDE + step * TREAD_DEPTH
+        top = float(ground.height(np.array([near + 0.5 * TREAD_DEPTH, 0.0])))
         middle, height = 0.5 * (top - DEEP), 0.5 * (top + DEEP)
-        place, width, reach = near + 0.5 * TREAD, 0.5 * TREAD, near + TREAD
+        place, width, reach = near + 0.5 * TREAD_DEPTH, 0.5 * TREAD_DEPTH, near + TREAD_DEPTH
         for sign in (-1.0, 1.0):
             boxes.append(([sign * place, 0.0, middle], [width, reach, height]))
             boxes.append(([0.0, sign * place, middle], [reach, width, height]))

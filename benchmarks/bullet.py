@@ -1,14 +1,14 @@
-"""Control steps per second of the Bullet world, as ratios to Bullet's bare steps and to the MuJoCo world, in one run.
+"""Control steps per second of the Bullet world, relative to Bullet's bare steps and to the MuJoCo world.
 
-    bare      `stepSimulation` alone, replaying the torques recorded from `one`: the same robots, the same motion
-    one       the Bullet world in one process: servo, motor, delays, sensors and contacts counted around every step
+    bare      only `stepSimulation`, replaying the torques recorded from `one`: the same robots with the same motion
+    one       the Bullet world in one process, including servo, motor, delays, sensors and contacts
     all       the Bullet world on all cores
     mujoco 1  the MuJoCo world on one thread, galloping with the same policy
     mujoco    the MuJoCo world on all cores
 
-Each is timed in turns, several rounds; the median is reported. A control step here is that of one robot, 6 physics
-steps. `one` is compared with `bare` on one core, `all` with `one`, and each Bullet world with the MuJoCo world on as
-many cores.
+They are timed in turn over several rounds, and the median is reported. A control step is one of a single robot, with 6
+physics steps. `one` is compared with `bare` on one core, `all` with `one`, and each Bullet world with the MuJoCo world
+on the same number of cores.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from surefoot.world.registry import find_world
 
 
 class Bench:
-    """The worlds, set up once, each with a method that runs it and returns (control steps, seconds)."""
+    """Worlds that are set up once; a method for each runs it and returns (control steps, seconds)."""
 
     def __init__(self, num_envs: int, steps: int, processes: int) -> None:
         self.num_envs, self.steps = num_envs, steps
@@ -51,7 +51,7 @@ class Bench:
         self.bare_world = self._make(bullet, 1)
 
     def _targets(self, make_world: SimulationFactory) -> np.ndarray:
-        """Motor angles (steps, N, M) that the policy commands in a world."""
+        """Return the motor angles (steps, N, M) that the policy commands in a world."""
         task = task_from_contract(self.policy.contract)
         env = LocomotionEnv(task, self.num_envs, make_world, seed=1, threads=1)
         self.robot = env.robot
@@ -67,7 +67,7 @@ class Bench:
         return make_world(self.robot, self.num_envs, params, 1, WorldConfig(threads=threads))
 
     def _record_torques(self) -> tuple[np.ndarray, np.ndarray]:
-        """Joint torques (control steps x servo steps, N, M) of the Bullet world, and where its robots end."""
+        """Return joint torques (control steps x servo steps, N, M) of the Bullet world, and final robot positions."""
         world: Any = self._make(find_world("bullet"), 1)
         world.params.control_step[:] = self.robot.timing.servo_step
         torques = []
@@ -78,7 +78,7 @@ class Bench:
         return np.array(torques), world.truth().base_position_world
 
     def bare(self) -> tuple[int, float]:
-        """Only the time in `stepSimulation` counts."""
+        """Replay the recorded torques; only the time in `stepSimulation` counts."""
         p, world = import_pybullet(), self.bare_world
         world.reset()
         engine: Any = world.engine  # type: ignore[attr-defined]
@@ -116,7 +116,7 @@ class Bench:
 
 
 def main() -> int:
-    """Run all and print rates and ratios."""
+    """Run all worlds and print rates and ratios."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--num-envs", type=int, default=16)

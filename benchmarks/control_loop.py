@@ -1,19 +1,19 @@
-r"""How punctual the control loop is, with the emulator on the same computer: lateness, inference, age of states.
+r"""Timing of the control loop with the emulator on the same computer: lateness, inference time, age of states.
 
-    bare      a loop that only sleeps until each control step is due: what the computer gives
+    bare      a loop that only sleeps until each control step is due, as a reference for the computer
     deployed  `surefoot deploy` in real time: readings in, checks, policy, command out, recording
 
-Both run for the same time, one after the other, beside the same emulator. Lateness is how long after its due moment a
-step begins; `sent` is when its command was on its way; `state age` is that of the newest state when a step uses it. The
-deployed loop looks at the clock for the last part of a wait. `--busy` programs compute all the while. A robot on its
-rack does not get hot; with `--ground` it walks.
+Both run for the same time, one after the other, with the same emulator running. Lateness is the delay of a step's start
+after its due time; `sent` is the delay of its command; `state age` is the age of the newest state when a step uses it.
+The deployed loop polls the clock for the last part of a wait. `--busy` programs keep processors busy meanwhile. A robot
+on its rack does not heat up; with `--ground` it walks.
 
     python benchmarks/control_loop.py                                   # one run of a minute in each world
     python benchmarks/control_loop.py trot-robust go2-steer --worlds bullet --lines pty socket --busy 3 --runs 8 \
         --seconds 10 --ground --out results/control_loop.csv
 
-A row of the table is a policy in a world behind a line, a pseudo-terminal or a socket: of `runs`, how many came to
-their end, and the worst of all [ms].
+The table has one row per policy, world and line (pseudo-terminal or socket): the number of runs, how many reached their
+end, and the maximum times over all runs [ms].
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ import numpy as np
 from emulated import gain_options
 
 from surefoot.api.policies import find_policy, open_policy
-from surefoot.studies.robot_identification import SUREFOOT
+from surefoot.studies.robot_identification import SUREFOOT_COMMAND
 from surefoot.tables import write_csv
 
 
 @contextlib.contextmanager
 def busy_programs(count: int) -> Iterator[None]:
-    """Run programs that compute all the while; they end by themselves if this one is killed."""
+    """Run programs that keep processors busy; they exit if this process is killed."""
     program = "import os\nparent = os.getppid()\nwhile os.getppid() == parent:\n    sum(range(100_000))"
     programs = [subprocess.Popen([sys.executable, "-c", program]) for _ in range(count)]
     try:
@@ -54,7 +54,7 @@ def busy_programs(count: int) -> Iterator[None]:
 
 
 def bare_loop(seconds: float, step: float) -> dict[str, float]:
-    """Lateness of a loop of sleeps [ms]."""
+    """Return the lateness of a loop that only sleeps [ms]."""
     late = np.empty(max(round(seconds / step), 1))
     start = time.monotonic()
     for k in range(len(late)):
@@ -63,18 +63,18 @@ def bare_loop(seconds: float, step: float) -> dict[str, float]:
         late[k] = 1e3 * (time.monotonic() - due)
     names, shares = ("median", "p99_9", "max"), (50, 99.9, 100)
     parts = zip(names, np.percentile(late, shares).tolist(), strict=True)
-    figures = {f"lateness_{name}_ms": part for name, part in parts}
-    return figures | {"missed": int((late > 1e3 * step).sum())}
+    metrics = {f"lateness_{name}_ms": part for name, part in parts}
+    return metrics | {"missed": int((late > 1e3 * step).sum())}
 
 
 def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict[str, Any]:
-    """Both loops beside an emulator in one world: the deployment's report of its run, and what the emulator says."""
+    """Run both loops with an emulator in one world; return the deployment's report and the emulator's summary."""
     runtime, robot = open_policy(find_policy(policy))
     with tempfile.TemporaryDirectory() as folder:
         words = ["--robot", str(robot.folder), "--world", world, *([] if options.ground else ["--rack"])]
         words += gain_options(policy)
         emulator = subprocess.Popen(
-            [*SUREFOOT, "emulate", *words, *(["--socket", f"{folder}/robot"] if line == "socket" else [])],
+            [*SUREFOOT_COMMAND, "emulate", *words, *(["--socket", f"{folder}/robot"] if line == "socket" else [])],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
@@ -85,7 +85,9 @@ def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict
                 raise SystemExit(f"no emulator: {emulator.communicate()[1]}")
             bare = bare_loop(options.seconds, runtime.contract.control_step)
             words = ["deploy", policy, "--port", port[1], "--duration", str(options.seconds), "--json"]
-            done = subprocess.run([*SUREFOOT, *words, "--out", folder], capture_output=True, text=True, check=False)
+            done = subprocess.run(
+                [*SUREFOOT_COMMAND, *words, "--out", folder], capture_output=True, text=True, check=False
+            )
         finally:
             emulator.send_signal(signal.SIGINT)
             output = emulator.communicate(timeout=20)[1]
@@ -96,7 +98,7 @@ def run(policy: str, world: str, line: str, options: argparse.Namespace) -> dict
 
 
 def print_run(result: dict[str, Any]) -> None:
-    """Print one run's figures."""
+    """Print the metrics of one run."""
     print(f"  {result['ended']} ({result['what']}); {result['emulator'].removeprefix('surefoot: ')}")
     rows = [("bare", "lateness", result["bare"])]
     if "timing" in result:
@@ -104,10 +106,10 @@ def print_run(result: dict[str, Any]) -> None:
         rows += [(name.replace("_", " "), name, result["timing"]) for name in names]
         print(f"  {result['steps']} steps, {result['timing']['stale']} without a new state")
     print(f"  {'':10}{'median':>11}{'99.9 %':>11}{'max':>11}   missed")
-    for title, name, figures in rows:
-        numbers = (figures[f"{name}_{key}_ms"] for key in ("median", "p99_9", "max"))
+    for title, name, metrics in rows:
+        numbers = (metrics[f"{name}_{key}_ms"] for key in ("median", "p99_9", "max"))
         times = (f"{number:>8.3f} ms" if number is not None else f"{'-':>11}" for number in numbers)
-        print(f"  {title:10}{''.join(times)}   {figures['missed'] if name == 'lateness' else ''}", flush=True)
+        print(f"  {title:10}{''.join(times)}   {metrics['missed'] if name == 'lateness' else ''}", flush=True)
 
 
 def summary(case: str, busy: int, results: list[dict[str, Any]]) -> dict[str, Any]:
@@ -134,9 +136,9 @@ def main() -> None:
     parser.add_argument("policies", nargs="*", default=["trot-robust"])
     parser.add_argument("--worlds", nargs="+", default=["mujoco", "bullet"])
     parser.add_argument("--lines", nargs="+", default=["pty"], choices=["pty", "socket"])
-    parser.add_argument("--seconds", type=float, default=60.0, help="of each run")
+    parser.add_argument("--seconds", type=float, default=60.0, help="duration of each run [s]")
     parser.add_argument("--runs", type=int, default=1)
-    parser.add_argument("--busy", type=int, default=0, help="programs that compute meanwhile")
+    parser.add_argument("--busy", type=int, default=0, help="programs that keep processors busy")
     parser.add_argument("--ground", action="store_true", help="let the robot walk")
     parser.add_argument("--out", type=Path, help="table of the cases (.csv)")
     options = parser.parse_args()

@@ -1,6 +1,6 @@
-"""How fast the page of `surefoot drive` is: pictures, delay from joystick to command, share of real time kept.
+"""Speed of the `surefoot drive` page: frames per second, delay from joystick to command, real-time factor.
 
-Headless Chromium, which draws in software, moves the joystick. Both run on this machine, and share its cores.
+Headless Chromium, which renders in software, moves the joystick. Both run on this machine and share its cores.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _COUNT = "window.pictures = 0; const count = () => { ++window.pictures; requestA
 
 
 def held(tabs: list[Page]) -> str:
-    """Say how much memory this process and the pages' scripts hold."""
+    """Return the memory of this process and of the pages' scripts as text."""
     pages = [int(tab.evaluate("performance.memory.usedJSHeapSize")) / 1e6 for tab in tabs]
     resident = next(line for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmRSS"))
     return f"{int(resident.split()[1]) / 1e3:.0f} MB; scripts of the tabs {', '.join(f'{one:.0f} MB' for one in pages)}"
@@ -32,10 +32,12 @@ def held(tabs: list[Page]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--policy", default="go2-steer", help="one without commands has no delay to measure")
+    parser.add_argument("--policy", default="go2-steer", help="without commands, there is no delay to measure")
     parser.add_argument("--duration", type=float, default=20.0)
     parser.add_argument("--tabs", type=int, default=1)
-    parser.add_argument("--hours", type=float, default=0.0, help="then simulate so long at full speed: memory")
+    parser.add_argument(
+        "--hours", type=float, default=0.0, help="hours to simulate afterwards at full speed, to measure memory"
+    )
     options = parser.parse_args()
     path = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
     if path is None:
@@ -78,11 +80,11 @@ def main() -> None:
     view.stop()
     delays = 1e3 * np.array(drive.delays)
     print(f"load of {os.cpu_count()} cores {os.getloadavg()[0]:.1f}, tabs {options.tabs}")
-    print(f"pictures sent {sent / passed:.1f} /s, drawn in software {shown / passed:.1f} /s")
+    print(f"frames sent: {sent / passed:.1f} /s, rendered in software: {shown / passed:.1f} /s")
     if delays.size:
         middle, late = np.quantile(delays, [0.5, 0.99])
         print(f"joystick to command, ms: median {middle:.1f}, 99 % {late:.1f}, of {len(delays)}")
-    print(f"share of real time {kept:.3f}")
+    print(f"real-time factor {kept:.3f}")
     print("memory: " + f"; after {options.hours:g} h of simulated driving ".join(memory))
 
 

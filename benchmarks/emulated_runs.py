@@ -1,10 +1,10 @@
-"""Deploy policies on emulated robots in lockstep: how far they go, and how their runs end.
+"""Deploy policies on emulated robots in lockstep; measure distances, falls and reasons for a run's end.
 
     python benchmarks/emulated_runs.py                    # all cases; results/emulator/{runs,cases}.csv
-    python benchmarks/emulated_runs.py gallop/bullet      # one; rows of the others stay
+    python benchmarks/emulated_runs.py gallop/bullet      # one case; rows of other cases are kept
 
-Every robot has noisy sensors, a battery that sags and motors that heat. `runs.csv` has a row a run, `cases.csv` a row
-a case: distances [m], falls, how long the shortest run lasted, why it ended.
+Every robot has noisy sensors, a battery with voltage drop and motors that heat up. `runs.csv` has one row per run,
+`cases.csv` one row per case: distances [m], falls, duration of the shortest run, and why it ended.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from surefoot.tables import write_csv
 
 
 class Case(NamedTuple):
-    """A policy on one emulated robot or more."""
+    """Policy on one or more emulated robots."""
 
     policy: str
     world: str
     options: tuple[object, ...] = ()
-    """Of `surefoot deploy`."""
+    """Options of `surefoot deploy`."""
     hidden: tuple[int, ...] = ()
-    """Seeds of robots with hidden parameters; the data sheet's robot without."""
+    """Seeds of robots with hidden parameters; empty for the robot of the data sheet."""
     forward: float = 0.0
-    """Command to a policy with commands [m/s]."""
+    """Forward command, for policies with commands [m/s]."""
     robot: str = "minitaur"
 
 
@@ -49,7 +49,7 @@ CASES = {
 
 
 def run(name: str, case: Case) -> list[dict[str, Any]]:
-    """Return a row for each run of a case."""
+    """Return one row per run of a case."""
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         options = case.options
@@ -88,7 +88,7 @@ def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
 def main() -> None:
     """Run cases and write both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("cases", nargs="*", choices=[[], *CASES], help="all, if none is given")
+    parser.add_argument("cases", nargs="*", choices=[[], *CASES], help="defaults to all")
     parser.add_argument("--out", type=Path, default=Path("results/emulator"), help="folder of the tables")
     options = parser.parse_args()
     path = options.out / "runs.csv"

@@ -1,14 +1,13 @@
-"""Evaluate the policies that pages speak of: results/evaluations.yaml names them, results/evaluations.csv has the rows.
+"""Evaluate the policies in results/evaluations.yaml, and write their metrics to results/evaluations.csv.
 
-    python benchmarks/evaluations.py                 # what is missing or stale
+    python benchmarks/evaluations.py                 # missing and stale rows
     python benchmarks/evaluations.py 'trot*' gallop/bullet --again
 
-A row is called POLICY, or POLICY/SET for other options than those of the set `nominal`; `surefoot evaluate` with the
-row's command prints its figures. It is stale if the policy's file, its training or the options have changed.
-`policies` in the YAML file are those that do not ship: a file in the repository, or a `training`, the words after
-`surefoot train`. Its run is looked for in `--runs`, in a folder of its name; `--train` trains what is not there.
-A name in braces is the run of another one: `--start-from {steer-spot}`.
-Without its run the row of such a policy stays as it is.
+A row is called POLICY (options of the set `nominal`) or POLICY/SET; `surefoot evaluate` with the row's command prints
+its metrics. A row is stale if the policy's file, its training or the options have changed. `policies` in the YAML file
+lists policies that do not ship: a file in the repository, or a `training` (the words after `surefoot train`), whose run
+is in a folder of its name in `--runs`; `--train` trains missing ones. A name in braces is another policy's run:
+`--start-from {steer-spot}`. Without its run, the row of such a policy is kept unchanged.
 """
 
 from __future__ import annotations
@@ -26,26 +25,26 @@ from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
-from surefoot.api.policies import shipped_policies
+from surefoot.api.policies import released_policies
 from surefoot.cli import evaluate, train
 from surefoot.configuration import read_yaml
-from surefoot.evaluation.statistics import share_interval
+from surefoot.evaluation.statistics import proportion_interval
 from surefoot.tables import write_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES, TABLE = (ROOT / "results" / f"evaluations.{kind}" for kind in ("yaml", "csv"))
-FIGURES = (
+METRICS = (
     *("robot", "world", "episodes", "falls", "falls_percent_low", "falls_percent_high"),
     *("speed_mean", "speed_std", "power_mean", "return_mean", "return_std", "cost_of_transport_mean", "drift_mean"),
     *("distance_mean", "steps_mean", "saturation", "gait"),
     *(f"{kind}_{name}" for kind in ("rmse", "rmse_stride") for name in ("forward", "sideways", "yaw_rate")),
 )
-COLUMNS = ("name", *FIGURES, "command", "training", "digest")
+COLUMNS = ("name", *METRICS, "command", "training", "digest")
 
 
 def named_rows(names: dict[str, Any]) -> dict[str, tuple[str, str]]:
-    """Return policy and options of each row that the YAML file names."""
-    known = [*shipped_policies(), *names["policies"]]
+    """Return policy and options of each row that the YAML file lists."""
+    known = [*released_policies(), *names["policies"]]
     rows: dict[str, tuple[str, str]] = {}
     for name, one in names["sets"].items():
         for pattern in one["policies"]:
@@ -56,17 +55,17 @@ def named_rows(names: dict[str, Any]) -> dict[str, tuple[str, str]]:
 
 
 def find_file(policy: str, others: dict[str, Any], runs: Path, may_train: bool = False) -> Path | None:
-    """Return a policy's file; None, if it is made by a training whose run is not there.
+    """Return a policy's file, or None if the run of its training is missing.
 
     Args:
-        policy: its name.
+        policy: name of the policy.
         others: policies that do not ship, by name.
         runs: folder of trainings.
-        may_train: train what is not there.
+        may_train: whether to train missing policies.
     """
     about = others.get(policy, {})
     if "training" not in about:
-        return ROOT / about["file"] if about else shipped_policies()[policy]
+        return ROOT / about["file"] if about else released_policies()[policy]
     found = sorted(runs.joinpath(policy).rglob("evaluation.json"))
     if not found and may_train:
         training = about["training"]
@@ -81,7 +80,7 @@ def find_file(policy: str, others: dict[str, Any], runs: Path, may_train: bool =
 
 
 def describe(policy: str, options: str, about: dict[str, str], path: Path | None) -> dict[str, str]:
-    """Return what an up-to-date row of a policy says of itself; without its digest, if its file is not there."""
+    """Return the columns that tell whether a row is up to date; without the digest if the policy's file is missing."""
     command = f"surefoot evaluate {about.get('file', policy)} {options}".strip()
     digest = {"digest": hashlib.sha256(path.read_bytes()).hexdigest()[:12]} if path else {}
     return {"command": command, "training": about.get("training", ""), **digest}
@@ -94,23 +93,23 @@ def read_table() -> dict[str, dict[str, Any]]:
 
 
 def measure(path: Path, options: str, threads: int) -> dict[str, Any]:
-    """Return the figures of an evaluation."""
+    """Return the metrics of an evaluation."""
     with redirect_stdout(io.StringIO()) as output:
         evaluate.main([str(path), *shlex.split(options), "--threads", str(threads), "--json"])
     summary = json.loads(output.getvalue())
-    share = share_interval([summary["falls"] / summary["episodes"]], summary["episodes"]).scale(100)
+    falls = proportion_interval([summary["falls"] / summary["episodes"]], summary["episodes"]).scale(100)
     errors = {f"{kind}_{k}": x for kind in ("rmse", "rmse_stride") for k, x in summary.get(kind, {}).items()}
     worst = max((value for value in summary["saturation"].values() if value is not None), default=None)
-    row = {**summary, **errors, **share.columns("falls_percent"), "saturation": worst}
-    return {name: f"{row[name]:.9g}" if isinstance(row.get(name), float) else row.get(name) for name in FIGURES}
+    row = {**summary, **errors, **falls.columns("falls_percent"), "saturation": worst}
+    return {name: f"{row[name]:.9g}" if isinstance(row.get(name), float) else row.get(name) for name in METRICS}
 
 
 def main() -> int:
-    """Run what is selected, and write the table after each."""
+    """Run the selected evaluations, and write the table after each."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("rows", nargs="*", default=["*"], help="names of rows, or patterns such as 'go2-*/bullet'")
-    parser.add_argument("--again", action="store_true", help="what is up to date too")
-    parser.add_argument("--train", action="store_true", help="train policies that are made by a training")
+    parser.add_argument("--again", action="store_true", help="also rows that are up to date")
+    parser.add_argument("--train", action="store_true", help="train missing policies")
     parser.add_argument("--runs", type=Path, default=ROOT / "runs" / "evaluations", help="folder of these trainings")
     parser.add_argument("--threads", type=int, default=0)
     arguments = parser.parse_args()

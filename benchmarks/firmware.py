@@ -1,4 +1,4 @@
-"""The firmware in C, compiled for this computer with the compiler's watch over memory and undefined behaviour.
+"""Tests of the C firmware, compiled for this computer with address and undefined-behaviour sanitizers.
 
     python benchmarks/firmware.py fuzz [--frames 1000000]       # results/firmware/fuzz.json
     python benchmarks/firmware.py faults                        # results/firmware/faults.csv
@@ -6,20 +6,20 @@
     python benchmarks/firmware.py live [--runs 10]              # results/firmware/live.csv
     python benchmarks/firmware.py stm32f4                       # results/firmware/stm32f4.json
 
-`fuzz`: frames with fields at random, in any order and by several operators, go over a bad line (`link_soak.py`) to the
-firmware. An error of memory, an undefined operation, a wait of over 5 s, a count of pieces that is not that of the
-decoder in Python, or a motor that gets more than its limit is an error, and the script ends with 1.
+`fuzz`: frames with random fields, in any order and from several operators, reach the firmware over a bad line
+(`link_soak.py`). Failures are a memory error, undefined behaviour, a wait of over 5 s, a count of frames that differs
+from the Python decoder's, or a motor command above its limit; the exit code is then 1.
 
-`faults`: `surefoot deploy` in lockstep on the firmware. Each fault begins while the robot rises, while the policy runs,
-and while it sits down. A row has how long after that the motors are driven [ms] in each, how long at most after the
-last command that the robot accepted, and how many of the three runs left the robot armed.
+`faults`: `surefoot deploy` in lockstep on the firmware. Each fault begins while the robot stands up, while the policy
+runs, and while it sits down. A row has the time for which motors are still driven after the fault [ms] in each phase,
+the maximum time after the last accepted command, and the number of the three runs that left the robot armed.
 
-`runs`: `surefoot deploy trot-robust` in lockstep for 10 s, on robots with other noise, with the program in Python, with
+`runs`: `surefoot deploy trot-robust` in lockstep for 10 s, on robots with different noise, with the Python board, with
 the firmware, and with the firmware on an STM32F405 in QEMU.
 
-`live`: the same in real time, behind a socket. A row a run: how it ended, control steps missed, the greatest age of a
-state, how often the emulated robot was more than 10 ms behind real time, and the times between the wakes of a loop
-without work beside it. `interrupted` is 1 if one of these was over 12 ms, two control steps: the computer stood still.
+`live`: the same in real time over a socket. One row per run: how it ended, missed control steps, the maximum age of a
+state, how often the emulated robot was more than 10 ms behind real time, and the gaps of an idle loop that ran at the
+same time. `interrupted` is 1 if one of these gaps was over 12 ms (two control steps), caused by the computer.
 
 `stm32f4`: bytes of flash and RAM of the STM32F405's firmware, which is linked into 32 and 8 KiB, and instructions that
 QEMU counts (`-icount shift=0`) in a servo step and for messages.
@@ -55,7 +55,7 @@ from surefoot.emulator.firmware_process import FirmwareProcess
 from surefoot.evaluation.runs import measure_runs
 from surefoot.firmware.project import build_firmware, write_sources
 from surefoot.robot import RobotDescription
-from surefoot.studies.robot_identification import SUREFOOT
+from surefoot.studies.robot_identification import SUREFOOT_COMMAND
 from surefoot.tables import write_csv
 
 TESTS = Path(__file__).resolve().parents[1] / "tests"
@@ -68,7 +68,7 @@ CODEC = Codec(ROBOT.num_motors)
 PHASES = {"rise": 0.6, "run": 1.4, "sit": 1.65}
 """When a fault begins [s after arming]; the policy runs from 1.1 to 1.5 s."""
 MAX_BARE_GAP = 12.0
-"""Time [ms] between two wakes of a loop without work, beyond which the computer has interrupted a run."""
+"""Gap of an idle loop [ms] above which the computer has interrupted a run."""
 FAULTS = (
     *("unplug={}", "drop=1@{}", "corrupt=1@{}", "cut-frames=1@{}", "stale-state={}", "repeat-sequence={}"),
     *("backward-sequence={}", "reboot={}", "hang=0.2@{}", "tilt={}", "battery-low=11@{}", "motor-hot=95@{}"),
@@ -76,7 +76,7 @@ FAULTS = (
 
 
 def random_message(rng: random.Random, operator: int) -> Message:
-    """Return a message with fields at random, mostly an operator's."""
+    """Return a message with random fields, mostly from the given operator."""
     session = rng.choices((operator, 8, 0, rng.randrange(65536)), (30, 1, 1, 1))[0]
     special = (np.nan, np.inf, -np.inf, 1e30, 0.0, 4.7)
     values = np.full(8, 1.5) if rng.random() < 0.998 else np.array([rng.choice(special) for _ in range(8)])
@@ -98,7 +98,7 @@ def random_message(rng: random.Random, operator: int) -> Message:
 
 
 def fuzz(frames: int, seed: int, program: Path) -> dict[str, Any]:
-    """Send so many frames; return what was counted."""
+    """Send frames to the firmware; return the counts."""
     rng, start = random.Random(seed), time.perf_counter()
     firmware, line, decoder = FirmwareProcess(program, ROBOT.name, 8), BadLine(rng), Decoder(Codec(8, "replace"))
     now = number = sent = step = me = 0
@@ -106,7 +106,7 @@ def fuzz(frames: int, seed: int, program: Path) -> dict[str, Any]:
     reasons: Counter[str] = Counter()
     wrong = 0
     while sent < frames:
-        # Rounds of 240 steps: silence, after which any operator may come; a clean link that arms; then anything.
+        # Rounds of 240 steps: silence, after which any operator may connect; a clean link that arms; then anything.
         step, turn = step + 1, step % 240
         clean = turn < 40
         if turn == 0:
@@ -150,7 +150,7 @@ def run_fault(word: str, phase: str, program: Path) -> tuple[float, float, bool]
     """Deploy a policy with a fault.
 
     Returns:
-        how long after its beginning, and after the last command that the robot accepted, motors were driven [ms];
+        Times [ms] for which motors were driven after the fault's beginning, and after the last accepted command;
         whether the robot was armed at the end.
     """
     bench = import_module("fault_bench")
@@ -174,7 +174,7 @@ def run_fault(word: str, phase: str, program: Path) -> tuple[float, float, bool]
 
 
 def run_faults(program: Path) -> list[dict[str, Any]]:
-    """Return a row a fault: times until the motors are damped [ms], and how many runs left the robot armed."""
+    """Return one row per fault: times until the motors are damped [ms], and how many runs left the robot armed."""
     rows = []
     for word in FAULTS:
         results = {phase: run_fault(word, phase, program) for phase in PHASES}
@@ -188,7 +188,7 @@ def run_faults(program: Path) -> list[dict[str, Any]]:
 
 
 def measure_stm32f4(folder: Path) -> dict[str, Any]:
-    """Return sizes of the firmware and counts of instructions."""
+    """Return the firmware's size and its instruction counts."""
     elf, qemu = (build_firmware(folder, target=target) for target in ("board.elf", "board-qemu"))
     size = subprocess.run(["arm-none-eabi-size", elf], capture_output=True, text=True, check=True).stdout
     text, data, bss = map(int, size.splitlines()[1].split()[:3])
@@ -206,7 +206,7 @@ def measure_stm32f4(folder: Path) -> dict[str, Any]:
         note(type(message).__name__.lower())
 
     def note(what: str) -> None:
-        # The timer counts 168 a microsecond of the emulated time, of which an instruction takes a nanosecond.
+        # The timer counts 168 per microsecond of emulated time; an instruction takes one nanosecond.
         counts.setdefault(what, []).append(round(firmware.cycles / 0.168))
 
     send(messages.Hello(7, 0.01), 0)
@@ -224,7 +224,7 @@ def measure_stm32f4(folder: Path) -> dict[str, Any]:
 
 
 def run_policies(runs: int, folder: Path) -> list[dict[str, Any]]:
-    """Deploy a policy on all programs; return a row a program."""
+    """Deploy a policy on all board programs; return one row per program."""
     programs: dict[str, tuple[object, ...]] = {"Python": ()}
     for name, target in (("C", "board"), ("QEMU", "board-qemu")):
         programs[name] = ("--firmware", build_firmware(folder, target=target))
@@ -249,13 +249,13 @@ def run_policies(runs: int, folder: Path) -> list[dict[str, Any]]:
 
 
 def run_live(runs: int, folder: Path) -> Iterator[dict[str, Any]]:
-    """Deploy a policy in real time, on all programs by turns; give a row a run."""
+    """Deploy a policy in real time on all board programs in turn; yield one row per run."""
     programs: dict[str, list[object]] = {"Python": []}
     for name, target in (("C", "board"), ("QEMU", "board-qemu")):
         programs[name] = ["--firmware", build_firmware(folder, target=target)]
     for number, (name, options) in itertools.product(range(1, runs + 1), programs.items()):
-        robot = [*SUREFOOT, "emulate", "--socket", folder / "line", *options]
-        host = [*SUREFOOT, "deploy", "trot-robust", "--port", folder / "line", "--duration", 10, "--json"]
+        robot = [*SUREFOOT_COMMAND, "emulate", "--socket", folder / "line", *options]
+        host = [*SUREFOOT_COMMAND, "deploy", "trot-robust", "--port", folder / "line", "--duration", 10, "--json"]
         with subprocess.Popen(
             list(map(str, robot)), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         ) as process:
@@ -264,7 +264,7 @@ def run_live(runs: int, folder: Path) -> Iterator[dict[str, Any]]:
             words = list(map(str, [*host, "--out", folder / "live"]))
             bare = BareLoop()
             done = subprocess.run(words, capture_output=True, text=True, check=False)
-            bare_figures = bare.end()
+            bare_metrics = bare.end()
             process.terminate()
             _, summary = process.communicate()
         result: dict[str, Any] = {"ended": "refused", "what": done.stderr.strip().rpartition("\n")[2]}
@@ -275,8 +275,8 @@ def run_live(runs: int, folder: Path) -> Iterator[dict[str, Any]]:
             **{"program": name, "number": number, "ended": result["ended"], "what": result.get("what", "")},
             **{"missed": timing.get("missed"), "age_ms": timing.get("state_age_max_ms")},
             "behind": int(summary.partition("; behind ")[2].split()[0]),
-            **bare_figures,
-            "interrupted": bare_figures["bare_max_ms"] > MAX_BARE_GAP,
+            **bare_metrics,
+            "interrupted": bare_metrics["bare_max_ms"] > MAX_BARE_GAP,
         }
 
 

@@ -1,10 +1,10 @@
-"""Which terms of friction pay: errors of held-out logs with each of them [rad], on a Pupper's logs and on a Go2's.
+"""Benefit of each friction term: errors on held-out logs [rad], for logs of a Pupper and of a Go2.
 
     python benchmarks/friction_terms.py --go2 air.npz --rows Coulomb "and presliding"
     python benchmarks/friction_terms.py --pupper
 
-A Go2's log is a trace of `surefoot identify import`, of a robot that hung, with its gains in it. Each half of it is
-predicted by a fit to the other half. Each of a Pupper's logs is predicted by a fit to the other two.
+The Go2's log is a trace of `surefoot identify import` of a suspended robot, including its gains. Each half is predicted
+by a fit to the other half. Each of the Pupper's logs is predicted by a fit to the other two.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from surefoot.identify.motion.priors import GAINS, default_names
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
-from surefoot.identify.motion.robot_model import SECONDS
+from surefoot.identify.motion.robot_model import GROUND_SECONDS
 from surefoot.identify.motion.traces import read_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -48,18 +48,18 @@ ROWS: dict[str, tuple[str, ...]] = {
     ),
     "and presliding": ("motor_viscous_friction", "motor_friction", "friction_ratio", "viscous_ratio", "presliding"),
 }
-"""Terms of friction that are fitted; the others are 0, or 1 where they are ratios."""
+"""Friction terms that are fitted; the others are 0, or 1 if they are ratios."""
 
 
 def held_out_error(
     robot: RobotDescription, terms: tuple[str, ...], fitted: list[RecordedMotion], held: RecordedMotion
 ) -> float:
-    """Return the error of a held-out log [rad] with friction of some terms."""
+    """Return the error on a held-out log [rad] with some of the friction terms."""
     rack = all(motion.rack for motion in fitted)
     off = {name: 0.0 for name in FRICTION if name not in terms and not name.endswith("ratio")}
     prior = PhysicalParams.nominal(robot).with_values(robot, **off, **held.gains)
     names = [*(name for name in default_names(robot, rack) if name not in FRICTION), *terms]
-    seconds = None if rack else SECONDS
+    seconds = None if rack else GROUND_SECONDS
     known = [name for name in GAINS if name in held.gains]
     params = fit_robot(robot, fitted, [], names, prior, seconds, known=known).params(robot, prior)
     replayer = Replayer(robot, 1, held.rack, torques=False)
@@ -69,7 +69,7 @@ def held_out_error(
 def main() -> None:
     """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--go2", type=Path, help="trace of a Go2 that hung")
+    parser.add_argument("--go2", type=Path, help="trace of a suspended Go2")
     parser.add_argument("--pupper", action="store_true")
     parser.add_argument("--rows", nargs="*", choices=[[], *ROWS], default=[])
     parser.add_argument("--out", type=Path, default=Path("results/identification/friction_terms.csv"))
@@ -83,7 +83,7 @@ def main() -> None:
         go2 = RobotDescription.load("go2")
         log = replace(read_motion(options.go2, go2), rack=True)
         middle, end = float(np.ptp(log.time)) / 2, float(np.ptp(log.time))
-        first, second = log.between(0.0, middle), log.between(middle, end)
+        first, second = log.crop(0.0, middle), log.crop(middle, end)
         cases += [("go2, first half", go2, [second], first), ("go2, second half", go2, [first], second)]
     if options.pupper:
         pupper = RobotDescription.load("pupper_v2")

@@ -1,10 +1,10 @@
-"""Thousands of commands with damaged options and files; report every one that does not end in one plain line.
+"""Fuzz test of the command line: run commands with damaged options and files, and report those that fail badly.
 
-Each case takes a command that works, changes words of it or damages the file that it reads, and runs it in a process
-of its own; or it sends what no browser sends to the page of a command, and steers after each message. Wrong is a
-traceback, a page that does not obey, a case that does not end in time, an exit code that is not documented, an exit
-code 2 without its line, or a file written anywhere but where the words say. A case depends on seed and number alone:
-`--seed S --case N` runs it once more and shows what it printed.
+Each case takes a valid command, changes some of its words or damages a file that it reads, and runs it in a separate
+process; or it sends invalid messages to a command's page, and steers after each message. Failures are a traceback, a
+page that no longer responds, a timeout, an undocumented exit code, an exit code 2 without its one-line message, or a
+file written to an unexpected place. A case depends only on seed and number: `--seed S --case N` repeats it and shows
+its output.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ import surefoot
 from surefoot.report.pages.messages import DeployMessage, DriveMessage, TabMessage
 
 LIMIT = 10.0
-"""Time of a processor [s] that a case may take."""
+"""Maximum processor time of a case [s]."""
 PATIENCE = 12.0
-"""How much longer it may take by the clock, on a computer with other things to do."""
+"""Maximum ratio of wall time to processor time, for a busy computer."""
 ANSWER = 60.0
-"""Time by the clock in which a page must act on a command [s]."""
+"""Wall time within which a page must act on a command [s]."""
 UNCAUGHT = 70
 """Exit code of a case that ended with a traceback."""
 NUMBERS = (
@@ -61,14 +61,14 @@ TINY = (
 )
 RUN = "--threads 1 --out out"
 OUT = ("--out", "--symlink", "--params")
-"""Options that name files to be written."""
+"""Options that name output files."""
 SAFETY = 3
-"""Exit code of a deployment that safety ended, as on a computer that is too slow."""
+"""Exit code of a deployment that a safety rule ended, for example on a computer that is too slow."""
 CODES = {
     **{"study": {1, 130}, "train": {130}, "drive": {130}, "deploy": {SAFETY}, "doctor": {3}, "identify": {3}},
     "robot": {3},
 }
-"""Exit codes that are documented besides 0 and 2."""
+"""Documented exit codes other than 0 and 2."""
 COMMANDS = {
     "train options": f"train trot {TINY} --out out",
     "evaluate options": f"evaluate @policy.onnx --episodes 1 {RUN}",
@@ -112,17 +112,17 @@ COMMANDS = {
     ),
     "messages to deploy": "deploy go2-steer --port EMULATED --browser --page-port 0 --out out",
 }
-"""Commands that work, by kind of case; `@file` is a file of the seeds as it is, `@@file` one that is damaged."""
+"""Valid commands by kind of case; `@file` is an unchanged seed file, `@@file` a damaged one."""
 PAGES: dict[str, type[TabMessage]] = {
     "messages to drive": DriveMessage,
     "messages to train": DriveMessage,
     "messages to deploy": DeployMessage,
 }
-"""Kinds whose page is sent messages, and what it takes."""
+"""Kinds whose page receives messages, and the type of its messages."""
 MESSAGES = 25
-"""Messages to the page of a case."""
+"""Number of messages to the page of a case."""
 EMULATED = "emulate --robot go2 --ideal-sensors --set servo_kp=40 servo_kd=1"
-"""The robot on the port EMULATED."""
+"""Command of the robot on the port EMULATED."""
 OPTIONS = {
     "train options": ("learn.config:TrainConfig", 2),
     "evaluate options": ("cli.evaluate:EvaluateCommand", 1),
@@ -138,34 +138,34 @@ OPTIONS = {
     "trace fit options": ("cli.identify:TracesCommand", 3),
     "emulate options": ("cli.emulate:EmulateCommand", 3),
 }
-"""Kinds whose words are changed: where the options are declared, and how many words at the beginning stay."""
+"""Kinds whose words are changed: class that declares the options, and number of first words that are kept."""
 WHOLE_FOLDERS = {"robot": "robot", "run": "run", "meshed": "meshed/dog.urdf"}
-"""Folders of seeds that commands take whole, and what they are given of each."""
+"""Seed folders that are copied as a whole, and the path in each that the command receives."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case and its result."""
+    """Case and its result."""
 
     number: int
     kind: str
     words: tuple[str, ...]
     code: int = 0
-    """Exit code, or minus the signal that ended it."""
+    """Exit code, or the negative number of the signal that ended the process."""
     seconds: float = 0.0
     output: str = ""
     fault: str = ""
-    """What is wrong; empty if nothing is."""
+    """Description of the failure; empty if there is none."""
 
 
 class Fuzz:
-    """Cases in a folder of their own.
+    """Runner of cases in a folder.
 
     Args:
         root: an empty folder.
-        seed: of everything.
-        limit: time of a processor [s] that a case may take.
-        kinds: names of kinds to choose from; all, if empty.
+        seed: seed of all cases.
+        limit: maximum processor time of a case [s].
+        kinds: names of kinds to choose from; defaults to all.
     """
 
     def __init__(self, root: Path, seed: int, limit: float = LIMIT, kinds: Sequence[str] = ()) -> None:
@@ -180,7 +180,7 @@ class Fuzz:
         self._options: dict[str, list[str]] = {}
 
     def run(self, number: int) -> Case:
-        """Run the case of a number."""
+        """Run the case with a number."""
         rng = random.Random(f"{self.seed} {number}")
         kind = rng.choice(self.kinds)
         shutil.rmtree(self.root / "a", ignore_errors=True)
@@ -198,7 +198,7 @@ class Fuzz:
     def _visit(
         self, number: int, kind: str, words: list[str], rng: random.Random, before: dict[str, tuple[int, int]]
     ) -> Case:
-        """Run the case of a command that serves a page, with messages to the page; Ctrl-C ends it."""
+        """Run a command that serves a page, send messages to the page, and end the command with Ctrl-C."""
         patience, fault = self.limit * PATIENCE, ""
         with contextlib.ExitStack() as stack:
             if "EMULATED" in words:
@@ -215,7 +215,7 @@ class Fuzz:
             page.interrupt()
             code, seconds = page.wait(patience)
             output = page.read()
-        # It works all the time, for as long as it is watched.
+        # The page works continuously, so that its processor time depends on the length of the case.
         case = Case(number, kind, tuple(words), code, math.inf if math.isinf(seconds) else 0.0, output)
         if "the page's process has ended" in output:
             fault = fault or "its page has ended"
@@ -224,7 +224,7 @@ class Fuzz:
         return replace(case, fault=fault or self._find_fault(case, before))
 
     def _prepare_word(self, word: str, rng: random.Random) -> str:
-        """Return a word of the command; make its file, damaged where it is to be."""
+        """Return a word of the command, and create its file, damaged if marked so."""
         if not word.startswith("@"):
             return word
         name = word.lstrip("@")
@@ -244,7 +244,7 @@ class Fuzz:
         if kind not in self._options:
             module, name = where.split(":")
             declared = getattr(importlib.import_module(f"surefoot.{module}"), name)
-            # A window cannot be opened here.
+            # No window can be opened here.
             self._options[kind] = [option for option in options(declared) if option != "--viewer"]
         words = list(words)
         for _ in range(rng.choice((1, 1, 1, 2, 3))):
@@ -269,7 +269,7 @@ class Fuzz:
         return words
 
     def _find_fault(self, case: Case, before: dict[str, tuple[int, int]]) -> str:
-        """Return what is wrong with a case; empty if nothing is."""
+        """Return the failure of a case, or an empty string."""
         allowed = {0, 2, *CODES.get(case.words[0], set())}
         if case.seconds > self.limit:
             return f"takes more than {self.limit:g} s"
@@ -299,7 +299,7 @@ class Fuzz:
 
 
 def _state(folder: Path) -> dict[str, tuple[int, int]]:
-    """Return sizes and times of change of all files in a folder, by their names in it; zeros for folders."""
+    """Return size and modification time of all files in a folder, by relative path; zeros for folders."""
     state = {}
     for path in folder.rglob("*"):
         about = path.lstat()
@@ -308,7 +308,7 @@ def _state(folder: Path) -> dict[str, tuple[int, int]]:
 
 
 class _Command:
-    """A command that runs in a child of this process, which has imported everything; it ends with the context."""
+    """Command in a forked child of this process, which has imported everything; it ends with the context."""
 
     def __init__(self, words: Sequence[str], place: Path) -> None:
         self._output = tempfile.TemporaryFile()  # noqa: SIM115
@@ -325,15 +325,15 @@ class _Command:
         self._output.close()
 
     def read(self) -> str:
-        """Return its output so far."""
-        # Its place in the file is the child's too, and stays.
+        """Return the output so far."""
+        # The file offset is shared with the child, and must not change.
         return os.pread(self._output.fileno(), 1 << 20, 0).decode(errors="replace")
 
     def wait_for(self, pattern: str, patience: float) -> str:
-        """Return what the group of a pattern matches in its output.
+        """Wait until the output matches a pattern; return the match of its group.
 
         Raises:
-            TimeoutError: the command has ended, or `patience` [s] is over.
+            TimeoutError: the command ended first, or `patience` [s] is over.
         """
         end = time.monotonic() + patience
         while (match := re.search(pattern, self.read())) is None:
@@ -351,10 +351,10 @@ class _Command:
         os.kill(self._child, signal.SIGINT)  # a child that has ended is there until `wait`
 
     def wait(self, patience: float) -> tuple[int, float]:
-        """Wait until it has ended; kill it after `patience` [s].
+        """Wait for the end of the command; kill it after `patience` [s].
 
         Returns:
-            exit code, and time of a processor that it took [s], infinite if it had to be killed.
+            Exit code and processor time [s], which is infinite if it was killed.
         """
         if self._code is None:
             end, killed = time.monotonic() + patience, False
@@ -377,7 +377,7 @@ def _run(words: Sequence[str], place: Path, limit: float) -> tuple[int, float, s
     """Run a command, and kill it if it takes too long.
 
     Returns:
-        exit code, time of a processor that it took [s], infinite if it had to be killed, and output.
+        Exit code, processor time [s] (infinite if it was killed), and output.
     """
     with _Command(words, place) as command:
         return *command.wait(limit * PATIENCE), command.read()
@@ -400,7 +400,7 @@ def _child(words: Sequence[str], place: Path, output: int) -> None:
         from surefoot.api import episodes, training
         from surefoot.cli.main import main
 
-        # Figures and a video of each training would take most of the time.
+        # The figures and video of each training would take most of the time.
         training.finish_run = lambda *_: {}
         episodes.print_summaries = lambda *_: None
         try:
@@ -420,7 +420,7 @@ def _child(words: Sequence[str], place: Path, output: int) -> None:
 
 
 def damage(source: Path, target: Path, rng: random.Random) -> None:
-    """Write a damaged copy of a file: bytes, words and numbers, or what stands in it, changed one to four times."""
+    """Write a damaged copy of a file, with one to four changes of bytes, words, numbers or values."""
     content = source.read_bytes()
     kinds: dict[str, Callable[[bytes, random.Random], bytes]] = {".npz": _archive, ".onnx": _policy, **EXPANSIONS}
     inside = kinds.get(source.suffix)
@@ -484,7 +484,7 @@ def _text(content: bytes, rng: random.Random) -> bytes:
 
 
 def _leaf(value: Any, rng: random.Random) -> Any:
-    """Return JSON with one value in it, at any depth, replaced, dropped or put under another name."""
+    """Return JSON data with one value at any depth replaced, dropped or renamed."""
     if isinstance(value, dict) and value and rng.random() < 0.9:
         key = rng.choice(list(value))
         if (what := rng.random()) < 0.1:
@@ -502,7 +502,7 @@ def _leaf(value: Any, rng: random.Random) -> Any:
 
 
 def _archive(content: bytes, rng: random.Random) -> bytes:
-    """Return an archive of arrays with another meta or another array."""
+    """Return an archive of arrays with changed metadata or a changed array."""
     with np.load(io.BytesIO(content)) as archive:
         arrays = dict(archive)
     name = "meta" if rng.random() < 0.6 else rng.choice(sorted(arrays))
@@ -536,19 +536,19 @@ def _archive(content: bytes, rng: random.Random) -> bytes:
 
 
 def _signed(arrays: dict[str, Any]) -> dict[str, Any]:
-    """Return a recording's arrays with the digest that belongs to them, where they have one."""
-    from surefoot.identify.recording import digest_of
+    """Return a recording's arrays with a matching digest, if they have one."""
+    from surefoot.identify.recording import digest_arrays
 
     try:
         meta = json.loads(str(arrays["meta"]))
-        meta["digest"] = digest_of({name: array for name, array in arrays.items() if name != "meta"})
+        meta["digest"] = digest_arrays({name: array for name, array in arrays.items() if name != "meta"})
     except (KeyError, TypeError, ValueError):
         return arrays
     return {**arrays, "meta": np.array(json.dumps(meta))}
 
 
 def _policy(content: bytes, rng: random.Random) -> bytes:
-    """A policy with another contract, and the digest that matches it."""
+    """Return a policy with a changed contract and a matching digest."""
     import onnx
 
     from surefoot.policy.contract import METADATA_KEY
@@ -562,11 +562,11 @@ def _policy(content: bytes, rng: random.Random) -> bytes:
 
 
 def make_seeds(folder: Path, names: set[str]) -> None:
-    """Write the files that cases damage, each of which works as it is.
+    """Write the valid files that cases damage.
 
     Args:
-        folder: an empty one.
-        names: files that are read; those that take a simulation are made only then.
+        folder: an empty folder.
+        names: files that cases read; files that need a simulation are written only if they are among these.
     """
     import onnx
 
@@ -626,15 +626,15 @@ def make_seeds(folder: Path, names: set[str]) -> None:
 
 
 def _work(place: Path, *words: str) -> None:
-    """Run a command that makes seeds."""
+    """Run a command that writes seed files."""
     code, _, output = _run(words, place, 100.0)
     if code != 0:
         raise RuntimeError(f"a command that should work does not: {' '.join(words)}\n{output}")
 
 
 def _make_recording(path: Path, robot: Any) -> None:
-    """Write a recording of some tenths of a second in which all motors turn to and fro."""
-    from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_of
+    """Write a recording of some tenths of a second in which all motors move back and forth."""
+    from surefoot.identify.recording import COMPLETE, SCHEMA, Recording, digest_arrays
 
     count, motors = 500, robot.num_motors
     time_, columns = 0.006 * np.arange(count), {"roll_pitch_yaw": 3, "angular_velocity_base": 3, "": motors}
@@ -655,27 +655,27 @@ def _make_recording(path: Path, robot: Any) -> None:
         **{"rack": True, "mode_changes": [[0.0, 1]], "ended": COMPLETE, "period": 0.006, "lead": 0.0},
         "phases": [{"name": "steps", "mode": 1, "use": "fit", "duration": 3.0}],
         **{"servo_period": 0.001, "resting_states": 5, "frames": {"received": count, "missing": 0, "damaged": 0}},
-        **{"date": "2020-01-01", "digest": digest_of(arrays)},
+        **{"date": "2020-01-01", "digest": digest_arrays(arrays)},
     }
     Recording(**arrays, meta=meta).save(path)
 
 
 def import_all() -> None:
-    """Import all modules, so that the processes of the cases need not."""
+    """Import all modules, so that forked processes do not have to."""
     for module in pkgutil.walk_packages(surefoot.__path__, "surefoot."):
         if not module.name.endswith("__main__"):
             importlib.import_module(module.name)
 
 
 def main() -> int:
-    """Run cases and print what is wrong; return 1 if anything is."""
+    """Run cases and print failures; return 1 if there are any."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
-    parser.add_argument("--cases", type=int, default=3000, help="how many")
-    parser.add_argument("--seed", type=int, default=0, help="of everything")
-    parser.add_argument("--case", type=int, help="run this one only, and show what it printed")
+    parser.add_argument("--cases", type=int, default=3000, help="number of cases")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all cases")
+    parser.add_argument("--case", type=int, help="run only this case, and show its output")
     parser.add_argument("--first", type=int, default=0, help="number of the first case")
-    parser.add_argument("--minutes", type=float, default=math.inf, help="begin no case after this time [min]")
-    parser.add_argument("--limit", type=float, default=LIMIT, help="time of a processor that a case may take [s]")
+    parser.add_argument("--minutes", type=float, default=math.inf, help="time after which no case is started [min]")
+    parser.add_argument("--limit", type=float, default=LIMIT, help="maximum processor time of a case [s]")
     parser.add_argument("--kind", action="append", default=[], choices=COMMANDS, help="only cases of this kind")
     options = parser.parse_args()
     os.environ.setdefault("MPLBACKEND", "Agg")
@@ -689,7 +689,7 @@ def main() -> int:
             _work(Path(folder), "evaluate", str(fuzz.seeds / "policy.onnx"), "--episodes", "1", *RUN.split())
         for number in numbers:
             if time.monotonic() > end:
-                print(f"the time is over: go on with --first {number} --cases {len(numbers) - done}")
+                print(f"time is up: continue with --first {number} --cases {len(numbers) - done}")
                 break
             case = fuzz.run(number)
             done += 1
@@ -699,13 +699,15 @@ def main() -> int:
             if case.fault or options.case is not None:
                 wrong += bool(case.fault)
                 shown = " ".join(repr(word if len(word) < 80 else f"{word[:60]}...") for word in case.words)
-                print(f"seed {options.seed} case {number} ({case.kind}, {case.seconds:.1f} s): {case.fault or 'fine'}")
+                print(
+                    f"seed {options.seed} case {number} ({case.kind}, {case.seconds:.1f} s): {case.fault or 'passed'}"
+                )
                 print(f"    {shown}", flush=True)
     for name, counter in codes.items():
         if counter:
             counts = ", ".join(f"{count} {what}" for what, count in sorted(counter.items()))
             print(f"{name:<22}{sum(counter.values()):>6} cases: {counts}")
-    print(f"{wrong} of {done} cases are wrong")
+    print(f"{wrong} of {done} cases failed")
     return 1 if wrong else 0
 
 

@@ -1,18 +1,18 @@
-"""Deploy a policy on a Go2 over DDS, in real time on the loopback: does it walk, how even are commands, what faults do.
+"""Deploy a policy on simulated Go2s over DDS in real time: walking speed, timing of commands, response to faults.
 
     python benchmarks/go2_dds.py runs emulated vendor fitted --count 10 [--busy 2] [--speed 1.0] [--policy FILE]
     python benchmarks/go2_dds.py faults [NAME ...] [--phase run ...]
 
-`emulated` is surefoot's own robot; `vendor` and `fitted` are two variants of one that surefoot did not write
-(`tests/vendor_go2.py`). Rows go to results/go2_dds/runs.csv and faults.csv; rows of the same case are replaced.
+`emulated` is surefoot's own robot; `vendor` and `fitted` are two variants of an independent simulator
+(`tests/vendor_go2.py`). Rows are written to results/go2_dds/runs.csv and faults.csv, and replace rows of the same case.
 
-A run: stand up, walk forward from .5 s on, sit. `speed` is the mean from 3 s on. Gaps are those between commands as
-they were written, from the first to the last that was not damping; `bare` ones are those of a loop beside it that does
-nothing but wake every 2 ms. Loads are those of one core while the policy runs.
+A run: stand up, walk forward from 0.5 s on, sit. `speed` is the mean from 3 s on. Gaps are the times between commands
+when they were written, from the first command to the last that was not damping; `bare` gaps are from an idle loop that
+wakes up every 2 ms at the same time. Loads are in percent of one core while the policy runs.
 
-A fault begins while the robot stands up, while the policy runs, or while it sits. `damped_ms` is how long after it the
-robot took a damping command and none with a gain any more. `loop`, `keeper` and `watcher` are killed; with `-hangs`
-they stand still for a second.
+A fault begins while the robot stands up, while the policy runs, or while it sits. `damped_ms` is the time after it at
+which the robot received a damping command, with no later command that has a gain. `loop`, `supervisor` and `watchdog`
+are killed; with `-hangs` they are suspended for a second.
 """
 
 from __future__ import annotations
@@ -42,35 +42,35 @@ from go2_runs import (
     watch,
 )
 
-from surefoot.deploy.motion_runner import UP
+from surefoot.deploy.motion_runner import STARTUP_TIME
 
 POLICY = "go2-steer"
-"""Of rows that name none."""
+"""Policy of rows that name none."""
 RESULTS = Path(__file__).parents[1] / "results" / "go2_dds"
 SETTLED = 3.0
 """Time [s] after which the speed of a run counts."""
 PATIENCE = 60.0
 FAULT_RUN = 1.5
 """Duration [s] of the policy in a run that a fault ends."""
-PHASES = {"stand up": UP - 1.2, "run": UP + 0.8, "sit": UP + FAULT_RUN + 0.12}
+PHASES = {"stand up": STARTUP_TIME - 1.2, "run": STARTUP_TIME + 0.8, "sit": STARTUP_TIME + FAULT_RUN + 0.12}
 """When a fault begins [s after arming]."""
 PROCESSES = ("loop", "keeper", "watcher")
 KILLS = (*PROCESSES, "loop-hangs", "keeper-hangs")
 HANG = 1.0
-"""Time [s] for which a process that hangs stands still."""
+"""Time [s] for which a process is suspended."""
 FAULTS = (
     *("late=0.3", "frozen", "damaged", "nan", "restart", "motor-off", "lost", "hot", "battery", "tilt"),
     *("stop", "stick", "controller", "writer"),
 )
 
 
-def percentile(values: np.ndarray, share: float) -> float:
-    """Return a percentile; NaN of none."""
-    return float(np.percentile(values, share)) if len(values) else float("nan")
+def percentile(values: np.ndarray, percent: float) -> float:
+    """Return a percentile; NaN without values."""
+    return float(np.percentile(values, percent)) if len(values) else float("nan")
 
 
 def walk(kind: str, speed: float, busy: int, number: int, duration: float, domain: int, policy: str) -> dict[str, Any]:
-    """Return the figures of one run."""
+    """Return the metrics of one run."""
     loads: dict[str, list[float]] = {}
 
     def read_loads() -> None:
@@ -86,14 +86,14 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
         steering = steer_forward(folder, speed)
         deploy = Deploy(domain, folder, "--duration", duration, "--commands", steering, policy=policy)
         try:
-            actions = [(UP + 0.5, read_loads), (UP + duration - 0.5, read_loads)]
+            actions = [(STARTUP_TIME + 0.5, read_loads), (STARTUP_TIME + duration - 0.5, read_loads)]
             watch(deploy, witness, actions, PATIENCE + duration)
             code, report, errors = deploy.result()
             _, commands, _ = robot.end()
         finally:
             deploy.kill()
             robot.kill()
-            bare_figures = bare.end()
+            bare_metrics = bare.end()
         seen = witness.commands()
         run = (report.get("runs") or [{}])[0]
         row: dict[str, Any] = {"policy": Path(policy).stem, "robot": kind, "command": speed, "busy": busy}
@@ -104,10 +104,10 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
             row["speed"] = measure_capture(robot.capture_file, SETTLED)
         else:
             armed = commands["time"][commands["kp"] > 0]
-            began = float(armed[0]) + 1e9 * (UP + SETTLED) if len(armed) else np.nan
+            began = float(armed[0]) + 1e9 * (STARTUP_TIME + SETTLED) if len(armed) else np.nan
             walking = (commands["time"] > began) & (commands["time"] < began + 1e9 * (duration - SETTLED))
             row["speed"] = float(commands["forward"][walking].mean()) if walking.any() else float("nan")
-        row |= command_figures(seen) | bare_figures
+        row |= command_metrics(seen) | bare_metrics
         for who, (before, then, after, now) in ((k, v) for k, v in loads.items() if len(v) == 4):
             row[f"{who}_load"] = (after - before) / (now - then)
         timing = run.get("timing", {})
@@ -115,8 +115,8 @@ def walk(kind: str, speed: float, busy: int, number: int, duration: float, domai
     return row
 
 
-def command_figures(seen: np.ndarray) -> dict[str, Any]:
-    """Return rate and gaps of commands until the last with a gain, and what came after it."""
+def command_metrics(seen: np.ndarray) -> dict[str, Any]:
+    """Return rate and gaps of commands up to the last one with a gain, and the number of later ones."""
     active = np.flatnonzero(seen["kp"] > 0)
     if not len(active):
         return {"frames": 0}
@@ -134,7 +134,7 @@ def command_figures(seen: np.ndarray) -> dict[str, Any]:
 
 
 def inject(fault: str, phase: str, domain: int) -> dict[str, Any]:
-    """Return what a fault of a vendor's robot leads to."""
+    """Return the response to a fault of the `vendor` robot."""
     began: list[int] = []
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
@@ -175,7 +175,7 @@ def inject(fault: str, phase: str, domain: int) -> dict[str, Any]:
 
 
 def save(name: str, keys: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
-    """Write rows to a table of the results in place of those with the same keys."""
+    """Write rows to a table of the results; they replace rows with the same keys."""
     RESULTS.mkdir(parents=True, exist_ok=True)
     path = RESULTS / f"{name}.csv"
     table: dict[tuple[str, ...], dict[str, Any]] = {}
@@ -199,7 +199,7 @@ def main() -> None:
     runs = commands.add_parser("runs")
     runs.add_argument("robots", nargs="*", metavar="ROBOT", help=", ".join(ROBOTS))
     runs.add_argument("--count", type=int, default=1)
-    runs.add_argument("--busy", type=int, default=0, help="programs beside it that need a processor each")
+    runs.add_argument("--busy", type=int, default=0, help="additional programs that each need a processor")
     runs.add_argument("--speed", type=float, default=0.5)
     runs.add_argument("--duration", type=float, default=10.0)
     runs.add_argument("--policy", default=POLICY, help="name or file")

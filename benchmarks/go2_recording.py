@@ -1,10 +1,10 @@
-"""Record a Go2 that walks forward, on the loopback in real time, as a ROS 2 bag of /lowstate and /lowcmd.
+"""Record a walking Go2 in real time over the loopback interface, as a ROS 2 bag of /lowstate and /lowcmd.
 
-    python benchmarks/go2_recording.py fitted FOLDER [--speed .5] [--duration 8]
+    python benchmarks/go2_recording.py fitted FOLDER [--speed 0.5] [--duration 8]
     surefoot identify import FOLDER/bag --robot go2 --out FOLDER/runs/walk.npz
     surefoot identify --trace FOLDER/runs --robot go2 --out FOLDER/identified
 
-The robots are those of benchmarks/go2_dds.py. `identified/robot.toml` of `fitted` is results/go2_dds/identified.toml.
+Robots are as in benchmarks/go2_dds.py. `identified/robot.toml` of `fitted` is results/go2_dds/identified.toml.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""What benchmarks and tests of a Go2 over DDS share: a robot, a witness of its commands and `surefoot deploy`.
+"""Shared by benchmarks and tests of a Go2 over DDS: a robot, an observer of its commands, and `surefoot deploy`.
 
-All run in processes of their own, in real time, on the loopback.
+All run in separate processes, in real time, on the loopback interface.
 """
 
 from __future__ import annotations
@@ -24,18 +24,20 @@ from surefoot.deploy.dds import bus, low_level, types
 SUREFOOT = (sys.executable, "-m", "surefoot")
 VENDOR_GO2 = Path(__file__).parents[1] / "tests" / "vendor_go2.py"
 ROBOTS = ("emulated", "vendor", "fitted")
-"""surefoot's emulated Go2, and two variants of one that surefoot did not write."""
+"""surefoot's emulated Go2, and two variants of an independent simulator."""
 _TICK = os.sysconf("SC_CLK_TCK")
 
 
 class Robot:
-    """A robot on the loopback, in a process; `emulated` takes faults as options, the others at any time.
+    """Robot process on the loopback interface.
+
+    `emulated` takes faults as options; the others accept them at any time.
 
     Args:
         kind: one of `ROBOTS`.
         domain: DDS domain.
-        folder: for its record.
-        options: more options of its command.
+        folder: folder of its record.
+        options: additional options of its command.
     """
 
     def __init__(self, kind: str, domain: int, folder: Path, *options: object) -> None:
@@ -59,7 +61,7 @@ class Robot:
             raise SystemExit(f"no robot: {self.process.communicate()[1]}")
 
     def inject(self, fault: str) -> int:
-        """Begin a fault of a vendor's robot; return when that was asked [ns, monotonic clock]."""
+        """Begin a fault of the `vendor` robot; return the time of the request [ns, monotonic clock]."""
         assert self.process.stdin is not None
         now = time.monotonic_ns()
         self.process.stdin.write(fault + "\n")
@@ -67,7 +69,7 @@ class Robot:
         return now
 
     def end(self) -> tuple[dict[str, Any], NDArray[np.void], NDArray[np.void]]:
-        """End it; return its figures, the commands that it got, and the faults that it had."""
+        """End the robot; return its summary, the commands that it received, and its faults."""
         nothing = np.zeros(0, [("time", "u8")])
         if self.kind == "emulated":
             self.process.send_signal(signal.SIGINT)
@@ -77,29 +79,29 @@ class Robot:
             return json.loads(output), record["commands"], record["faults"]
 
     def kill(self) -> None:
-        """End it whatever it does."""
+        """Kill the robot's process."""
         self.process.kill()
         self.process.communicate()
 
 
 def take_stamped(reader: bus.RawReader[Any]) -> list[tuple[int, bytes]]:
-    """Return messages that have come, oldest first, each with the time when it was written [ns]."""
+    """Return the received messages, oldest first, each with the time when it was written [ns]."""
     from cyclonedds._clayer import ddspy_take
 
     taken = ddspy_take(reader._reader._ref, 2048)
-    # Messages without data say that a writer has gone.
+    # Messages without data announce that a writer is gone.
     return [] if isinstance(taken, int) else [(info.source_timestamp, data) for data, info in taken if info.valid_data]
 
 
 class Witness:
-    """Listens to the commands on a domain: when each was written [ns], its greatest kp and its least kd."""
+    """Observer of the commands on a domain: time of writing [ns], maximum kp and minimum kd of each."""
 
     def __init__(self, domain: int) -> None:
         self._bus = bus.Bus("lo", domain)
         self._reader = self._bus.reader(bus.LOW_COMMAND_TOPIC, types.LowCmd, 2048)
         self.rows: list[tuple[int, float, float]] = []
         self.armed: float | None = None
-        """When the first command with a gain was seen [s, monotonic clock]."""
+        """Time of the first command with a gain [s, monotonic clock]."""
         self._last: tuple[bytes, float, float] = b"", 0.0, 0.0
 
     def take(self) -> None:
@@ -122,7 +124,7 @@ class Witness:
 
 
 class Deploy:
-    """A running `surefoot deploy --link dds`; `program` is the command before its words."""
+    """Running `surefoot deploy --link dds`; `program` is the command before its words."""
 
     def __init__(
         self,
@@ -150,16 +152,16 @@ class Deploy:
         return self.process.wait(60), json.loads(output) if output else {}, self._errors.read_text()
 
     def helpers(self) -> dict[str, int]:
-        """Return process numbers of keeper and watcher."""
+        """Return the process ids of keeper and watcher."""
         return {
             name: pid
             for pid, words in descendants(self.process.pid).items()
-            for name in ("keeper", "watcher")
-            if f"surefoot.deploy.dds.{name}" in words
+            for name, module in (("keeper", "supervisor"), ("watcher", "watchdog"))
+            if f"surefoot.deploy.dds.{module}" in words
         }
 
     def kill(self) -> None:
-        """End it and its helpers, whatever they do."""
+        """Kill the command and its helper processes."""
         for pid in (*descendants(self.process.pid), self.process.pid):
             with contextlib.suppress(OSError):
                 os.kill(pid, signal.SIGKILL)
@@ -167,7 +169,7 @@ class Deploy:
 
 
 def descendants(pid: int) -> dict[int, str]:
-    """Return the command lines of a process's children and theirs."""
+    """Return the command lines of all descendants of a process, by process id."""
     found: dict[int, str] = {}
     with contextlib.suppress(OSError):
         for task in Path(f"/proc/{pid}/task").iterdir():
@@ -178,7 +180,7 @@ def descendants(pid: int) -> dict[int, str]:
 
 
 def cpu_time(pid: int) -> float:
-    """Return the processor time of a process [s]; NaN, if there is none."""
+    """Return the processor time of a process [s]; NaN if it does not exist."""
     try:
         words = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     except OSError:
@@ -189,10 +191,10 @@ def cpu_time(pid: int) -> float:
 def watch(
     deploy: Deploy, witness: Witness, actions: Sequence[tuple[float, Callable[[], object]]], patience: float
 ) -> None:
-    """Wait until a deployment has ended; call actions at their times after arming [s].
+    """Wait for the end of a deployment, and call actions at their times after arming [s].
 
     Raises:
-        SystemExit: it has not ended after `patience` [s].
+        SystemExit: the deployment has not ended after `patience` [s].
     """
     end = time.monotonic() + patience
     done = 0
@@ -213,8 +215,8 @@ def watch(
 
 @contextlib.contextmanager
 def busy_programs(count: int) -> Iterator[None]:
-    """Run programs that do nothing but need a processor."""
-    # If this script is killed, they end by themselves.
+    """Run programs that keep processors busy."""
+    # They exit after 120 s, even if this script is killed.
     busy = "import time; end = time.monotonic() + 120\nwhile time.monotonic() < end: pass"
     programs = [subprocess.Popen([sys.executable, "-c", busy]) for _ in range(count)]
     try:
@@ -226,7 +228,7 @@ def busy_programs(count: int) -> Iterator[None]:
 
 
 def measure_capture(path: Path, settled: float) -> float:
-    """Return the mean forward speed [m/s] of a capture, from `settled` [s] after the first step until it stops."""
+    """Return the mean forward speed [m/s] in a motion capture, from `settled` [s] after the first step to the stop."""
     time_, x, y, _, w, qx, qy, qz = np.loadtxt(path, delimiter=",", skiprows=1, usecols=range(8)).T
     yaw = np.arctan2(2 * (w * qz + qx * qy), 1 - 2 * (qy**2 + qz**2))
     window = max(round(0.5 / float(np.median(np.diff(time_)))), 1)
@@ -240,7 +242,7 @@ def measure_capture(path: Path, settled: float) -> float:
 
 
 def steer_forward(folder: Path, speed: float) -> Path:
-    """Write a file of commands: forward [m/s] from .5 s on."""
+    """Write a file of commands: forward [m/s] from 0.5 s on."""
     path = folder / f"forward_{speed:g}.csv"
     path.write_text(f"time,forward,sideways,yaw_rate\n0,0,0,0\n0.5,{speed},0,0\n")
     return path

@@ -1,11 +1,11 @@
-"""The vendor's SDKs against the emulated Go2: rate of states, wrong checksums, stand-up, services, processor time.
+"""Unitree's SDKs with the emulated Go2: rate of states, wrong checksums, stand-up, services, processor time.
 
     python benchmarks/go2_vendor_sdk.py --json > results/go2_vendor_sdk.json
 
-Needs far-unitree-sdk and unitree-sdk2py-dimos, installed with --no-deps. The first knows DDS domain 0 alone, so no
-other robot may run on the loopback meanwhile. It keeps the last state only: states that come while this computer does
-not let the reader run are not counted (`states`, `hz`), though it has a real-time priority where the system gives it
-one. The Python SDK calls a program for each state: its count is that of what was sent (`python_...`).
+Needs far-unitree-sdk and unitree-sdk2py-dimos, installed with --no-deps. The first supports only DDS domain 0, so no
+other robot may run on the loopback interface meanwhile. It keeps only the last state: states that arrive while the
+reader is not scheduled are not counted (`states`, `hz`), even though it has real-time priority if the system allows it.
+The Python SDK calls a function for each state, so it counts all (`python_...`).
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ CLIENTS = ROOT / "tests" / "vendor_clients.py"
 
 
 def client(*words: object) -> dict[str, Any]:
-    """Run one of the vendor's programs; return what it states, with the C++ SDK's lines about wrong checksums."""
+    """Run one of the SDK programs; return its report, with the number of the C++ SDK's lines about wrong checksums."""
     done = subprocess.run([sys.executable, CLIENTS, *map(str, words)], capture_output=True, text=True, check=True)
     return {**json.loads(done.stdout.splitlines()[-1]), "crc_errors": (done.stdout + done.stderr).count("CRC Error")}
 
 
 class Robot:
-    """An emulated Go2 on the loopback, and what motion capture sees of it."""
+    """Emulated Go2 on the loopback interface, with motion capture."""
 
     def __init__(self, *words: object) -> None:
         self._folder = tempfile.TemporaryDirectory()
@@ -48,12 +48,12 @@ class Robot:
         assert self._process.stdout.readline().startswith("robot on ")
 
     def heights(self) -> list[float]:
-        """Return the base's heights so far [m], 200 a second."""
+        """Return the base's heights so far [m], at 200 Hz."""
         with self.capture.open() as file:
             return [float(row["z"]) for row in list(csv.DictReader(file))[:-1]]  # the last one may be half written
 
     def stop(self) -> str:
-        """End it; return the line that sums up."""
+        """End the emulator; return its summary line."""
         self._process.terminate()
         _, output = self._process.communicate(timeout=30)
         self._folder.cleanup()
@@ -61,11 +61,11 @@ class Robot:
 
 
 def measure(count: int, world: str) -> dict[str, Any]:
-    """Return all figures; angles [rad], heights of the base [m]."""
+    """Return all metrics; angles [rad], heights of the base [m]."""
     robot = Robot("--world", world)
     read = client("read", count)
     counted = client("count", 0, count)
-    idle = share(robot.stop())
+    idle = processor_load(robot.stop())
 
     robot = Robot("--world", world)
     time.sleep(1.0)  # it sinks onto its belly
@@ -97,28 +97,28 @@ def measure(count: int, world: str) -> dict[str, Any]:
         "height_stood_up_python": max(heights),
         "height_laid_down_python": heights[-1],
         "states_damaged_python": example["damaged"],
-        "processor_commanded_percent": share(line),
+        "processor_commanded_percent": processor_load(line),
         "summary": line,
     }
 
 
-def share(line: str) -> int:
-    """Return the share of a processor [%] in the line that sums up."""
+def processor_load(line: str) -> int:
+    """Return the processor load [%] in a summary line."""
     return int(re.findall(r"(\d+) % of a processor", line)[0])
 
 
 def main() -> int:
-    """Print the figures."""
+    """Print the metrics."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=15_000, help="states to read")
     parser.add_argument("--world", default="mujoco")
     parser.add_argument("--json", action="store_true")
     args = parser.parse_args()
-    figures = measure(args.count, args.world)
+    metrics = measure(args.count, args.world)
     if args.json:
-        print(json.dumps(figures, indent=1))
+        print(json.dumps(metrics, indent=1))
         return 0
-    for name, value in figures.items():
+    for name, value in metrics.items():
         print(f"{name}: {value}")
     return 0
 

@@ -1,11 +1,11 @@
-"""Record what policies and trainings do to the last digit, and compare it after a change that should change nothing.
+"""Regression test: record results of policies and trainings to the last digit, and compare them after a change.
 
     python benchmarks/golden.py record /tmp/golden
     python benchmarks/golden.py compare /tmp/golden
 
-Record before the change and compare after it, on the same machine: the last digits differ between processors. Released
-policies run 200 control steps in their own task, on randomized robots under pushes, and on terrain; trainings run 20
-thousand steps and are resumed in the middle, so that a resumed run is compared with one that was never stopped.
+Record before the change and compare after it on the same machine, because the last digits differ between processors.
+Released policies run 200 control steps in their own task, on randomized robots with pushes, and on terrain. Trainings
+run 20 thousand steps and are resumed in the middle, so that a resumed run is compared with an uninterrupted one.
 `--only rollouts` leaves the trainings out.
 """
 
@@ -22,7 +22,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import tyro
 
-from surefoot.api.policies import load_policy, shipped_policies
+from surefoot.api.policies import load_policy, released_policies
 from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.policy.runtime import PolicyRuntime
@@ -41,7 +41,7 @@ TRAININGS = (
     ("terrain-robust", "go2"),
     ("terrain-seeing", "go2"),
 )
-"""Tasks and robots of trainings: without a reference, under pushes, symmetric, on a curriculum, and with two gaits."""
+"""Tasks and robots of trainings: without a reference, with pushes, symmetric, with a curriculum, and with two gaits."""
 TRAINING_STEPS = 20_000
 TERRAINS = {"go2-terrain": ("stairs:0.10", "rough:0.08"), "go2-terrain-seeing": ("gaps:0.20", "stones:0.35")}
 TIMES = {"rollout_seconds", "learn_seconds"}
@@ -49,13 +49,13 @@ TIMES = {"rollout_seconds", "learn_seconds"}
 
 @dataclass(frozen=True)
 class Command:
-    """Record a golden file, or compare the present code with one."""
+    """Record a golden file, or compare the current code with one."""
 
     action: Annotated[Literal["record", "compare"], tyro.conf.Positional]
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of golden.json."""
     only: Literal["all", "rollouts", "trainings"] = "all"
-    """What is run."""
+    """Cases to run."""
 
 
 def digest(*arrays: Any) -> str:
@@ -67,7 +67,7 @@ def digest(*arrays: Any) -> str:
 
 
 def variants(name: str, task: TaskConfig, robot: RobotDescription) -> Iterator[tuple[str, TaskConfig]]:
-    """Yield tasks to run a policy in: its own one, randomized robots under pushes, and terrain."""
+    """Yield tasks for a policy: its own, randomized robots with pushes, and terrain."""
     yield "own", task
     pushes = replace(task.pushes, enabled=True, relative=True, force=(0.3, 0.6))
     yield "randomized", replace(task, randomize=load_ranges("table1", robot=robot.folder), pushes=pushes)
@@ -76,7 +76,7 @@ def variants(name: str, task: TaskConfig, robot: RobotDescription) -> Iterator[t
 
 
 def rollout(policy: PolicyRuntime, task: TaskConfig, seed: int = 3) -> dict[str, Any]:
-    """Run some robots for `STEPS` control steps; return hashes every 50 steps, and sums that a person can read."""
+    """Run some robots for `STEPS` control steps; return hashes every 50 steps, and human-readable sums."""
     env = LocomotionEnv(task, ROBOTS, find_world("mujoco"), seed, threads=1)
     observation, _ = env.reset()
     hashes, total = [], 0.0
@@ -101,7 +101,7 @@ def rollout(policy: PolicyRuntime, task: TaskConfig, seed: int = 3) -> dict[str,
 
 
 def random_rollout(task: TaskConfig, seed: int = 5) -> dict[str, Any]:
-    """Run robots of a training's task with random actions, so that falls, curricula and resets are met."""
+    """Run robots in a training's task with random actions, so that falls, curricula and resets occur."""
     env = LocomotionEnv(task, ROBOTS, find_world("mujoco"), seed, threads=1)
     env.reset()
     stream, hashes = np.random.default_rng(seed), []
@@ -115,28 +115,28 @@ def random_rollout(task: TaskConfig, seed: int = 5) -> dict[str, Any]:
 
 
 def training(config: TrainConfig) -> dict[str, Any]:
-    """Train, saving the state in the middle; return the figures, and whether a resumed learner gives the same."""
+    """Train with a checkpoint in the middle; return the metrics, and whether a resumed learner gives the same."""
     learner = PpoLearner(config, find_world("mujoco"))
     half, state, rows = config.updates // 2, None, []
     for update in range(config.updates):
         if update == half:
             state = learner.get_state()
-        rows.append(_figures(learner.update()))
+        rows.append(_metrics(learner.update()))
     other = PpoLearner(config, find_world("mujoco"))
     assert state is not None
     other.set_state(state)
-    resumed = [_figures(other.update()) for _ in range(half, config.updates)]
+    resumed = [_metrics(other.update()) for _ in range(half, config.updates)]
     network = digest(*(value.detach().numpy() for value in learner.policy.state_dict().values()))
     return {"figures": rows, "network": network, "resumes": resumed == rows[half:]}
 
 
-def _figures(figures: Any) -> dict[str, Any]:
-    return {key: repr(value) for key, value in vars(figures).items() if key not in TIMES}
+def _metrics(update: Any) -> dict[str, Any]:
+    return {key: repr(value) for key, value in vars(update).items() if key not in TIMES}
 
 
 def cases() -> Iterator[tuple[str, str]]:
-    """Yield the kinds and names of what is run."""
-    for name in shipped_policies():
+    """Yield kind and name of each case."""
+    for name in released_policies():
         yield "rollouts", name
     for task, robot in TRAININGS:
         yield "rollouts", f"{robot} {task}"
@@ -153,7 +153,7 @@ def run(kind: str, name: str) -> dict[str, Any]:
     if " " in name:
         robot, task = name.split()
         return random_rollout(load_task(task, robot)[0])
-    policy, description, own = load_policy(shipped_policies()[name], None)
+    policy, description, own = load_policy(released_policies()[name], None)
     return {variant: rollout(policy, task) for variant, task in variants(name, own, description)}
 
 

@@ -1,13 +1,13 @@
-"""Time of a physics step on terrain over that on flat ground, of robots that follow the same policy.
+"""Ratio of the time of a physics step on terrain to that on flat ground, for robots with the same policy.
 
     python benchmarks/ground.py
     python benchmarks/ground.py stairs:0.10 stones:0.25 --world bullet
 
-Only `world.step` counts: servo, motors, physics, contacts and sensors. Robots start 4 m from the level place in the
-middle of a terrain, and go on with the commands of the policy's task; those that fall start anew. The grounds take
-turns of one control step of all robots, so that whatever else the machine does meets all alike; the ratio is the median
-over turns, with quartiles. Where legs and bellies touch the ground, MuJoCo has contacts to solve, which take their
-time; with --feet-only, feet alone meet the ground.
+Only `world.step` is timed: servo, motors, physics, contacts and sensors. Robots start 4 m from the level area in the
+middle of a terrain and follow the commands of the policy's task; robots that fall are reset. The grounds take turns of
+one control step of all robots, so that other load on the machine affects all equally. The ratio is the median over
+turns, with quartiles. If legs or trunks touch the ground, MuJoCo must solve additional contacts; with --feet-only, only
+feet touch the ground.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from surefoot.world.registry import find_world
 from surefoot.world.terrain import make_terrain
 
 AWAY = (4.1, 4.1)
-"""Where robots start from the middle of a terrain [m]."""
+"""Distance of the robots' start from the middle of a terrain [m]."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """Measure and print."""
+    """Measure the time of physics steps on terrain and print it."""
 
     terrains: Annotated[tuple[str, ...], tyro.conf.Positional] = (
         "slope:10",
@@ -52,7 +52,7 @@ class Command:
 
 
 class Walk:
-    """Robots that walk on a ground; a turn is one control step of all of them."""
+    """Robots walking on a ground; a turn is one control step of all robots."""
 
     def __init__(self, terrain: str, command: Command) -> None:
         policy = PolicyRuntime.load(find_policy(command.policy))
@@ -83,7 +83,7 @@ class Walk:
         return readings
 
     def turn(self) -> tuple[int, float]:
-        """Return physics steps and their time [s]."""
+        """Run one turn; return the number of physics steps and their time [s]."""
         action = self.env.gait.action(self.policy.feedback(self.observation))
         self.observation, _, ended, _, _ = self.env.step(action)
         self.ended, self.steps = self.ended + int(np.sum(ended)), self.steps + self.env.num_envs
@@ -94,7 +94,7 @@ def main(command: Command) -> None:
     """Measure all grounds in turns."""
     walks = {terrain: Walk(terrain, command) for terrain in ("flat", *command.terrains)}
     layers = {terrain: walk.turn for terrain, walk in walks.items()}
-    measure(layers, 100)  # the robots are on their way
+    measure(layers, 100)  # until the robots walk
     rates = measure(layers, command.turns)
     rows: dict[str, dict[str, float]] = {}
     for name, walk in walks.items():

@@ -1,12 +1,12 @@
-"""Handcrafted gaits beside learned ones: power, cost of transport and falls over speed (the paper's table III).
+"""Comparison of handcrafted and learned gaits: power, cost of transport and falls by speed (the paper's table III).
 
     python benchmarks/handcrafted.py results/handcrafted
 
-Handcrafted gaits are the YAML files of the folder, from `surefoot study tune`, with the curves of their tuning (.csv).
-Learned ones are its ONNX files, NAME-seed_N.onnx for each of several trainings of a gait, and policies that ship. Each
-runs in MuJoCo, in MuJoCo with table I drawn for every episode, and in Bullet. Runs are kept in runs.csv; a second call
-makes only those that are missing, or whose gait has changed. Then `python tools/result_pages.py handcrafted` writes the
-page of the results.
+Handcrafted gaits are the YAML files in the folder, from `surefoot study tune`, with their tuning curves (.csv). Learned
+gaits are its ONNX files, NAME-seed_N.onnx for each of several trainings, and released policies. Each runs in MuJoCo, in
+MuJoCo with physical parameters randomized in the paper's ranges (table I), and in Bullet. Runs are stored in runs.csv;
+a second call runs only missing ones and those whose gait has changed. Afterwards `python tools/result_pages.py
+handcrafted` writes the page of results.
 """
 
 from __future__ import annotations
@@ -42,50 +42,50 @@ from surefoot.world.registry import find_world
 SHIPPED = ("trot-robust", "gallop-robust")
 CONDITIONS = {"mujoco": ("mujoco", "none"), "table1": ("mujoco", "table1"), "bullet": ("bullet", "none")}
 """World and ranges of each condition."""
-_TITLES = {"mujoco": "MuJoCo", "table1": "MuJoCo, table I drawn", "bullet": "Bullet"}
+_TITLES = {"mujoco": "MuJoCo", "table1": "MuJoCo, randomized (table I)", "bullet": "Bullet"}
 FAMILIES = ("foot trajectories", "foot trajectories, Raibert", "learned", "learned on tuned trajectories")
 DURATION = 6.0
-"""Of an episode [s]."""
+"""Length of an episode [s]."""
 WINDOW = 40
-"""Generations at the end of a tuning that are compared with as many before."""
+"""Number of generations at the end of a tuning that are compared with as many before."""
 
 
 @dataclass(frozen=True)
 class Command:
-    """Run what is missing, print the table, draw the figures."""
+    """Run missing cases, print the table, draw the figures."""
 
     folder: Annotated[Path, tyro.conf.Positional] = Path("results/handcrafted")
     """Gaits, and results."""
     policies: tuple[str, ...] = SHIPPED
-    """Learned gaits: names of policies that ship, or policy files."""
+    """Learned gaits: names of released policies, or policy files."""
     conditions: tuple[str, ...] = tuple(CONDITIONS)
-    """Out of mujoco, table1 and bullet."""
+    """Conditions: mujoco, table1, bullet."""
     episodes: int = 20
     """Episodes in each."""
     seed: int = 1
     """The one seed."""
     threads: int = 0
-    """Threads of the simulation; 0 means one a core."""
+    """Threads of the simulation; 0 means one per core."""
     missing: bool = True
-    """Run what is missing; else report the results that exist."""
+    """Run missing cases; otherwise only report existing results."""
     draw: bool = False
-    """Draw the footfalls of each gait's first episode in MuJoCo too."""
+    """Also draw the footfalls of each gait's first episode in MuJoCo."""
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A handcrafted gait, or one training of a learned one."""
+    """Handcrafted gait, or one training of a learned gait."""
 
     path: Path
 
     @property
     def gait(self) -> str:
-        """Its name, that of all trainings of a gait."""
+        """Name of the gait, the same for all its trainings."""
         return re.sub(r"-seed_\d+$", "", self.path.stem)
 
     @property
     def digest(self) -> str:
-        """Of its file, short."""
+        """Short digest of its file."""
         return hashlib.sha256(self.path.read_bytes()).hexdigest()[:12]
 
     def load(self) -> tuple[Controller, TaskConfig]:
@@ -104,7 +104,7 @@ def entries(folder: Path, policies: tuple[str, ...]) -> Iterable[Entry]:
 
 
 def run(entry: Entry, condition: str, command: Command) -> list[dict[str, Any]]:
-    """Return a row for each episode of a gait."""
+    """Return one row per episode of a gait."""
     world, ranges = CONDITIONS[condition]
     policy, task = entry.load()
     robot = RobotDescription.load(task.robot)
@@ -123,7 +123,7 @@ def run(entry: Entry, condition: str, command: Command) -> list[dict[str, Any]]:
 
 
 def estimate(rows: list[dict[str, Any]], column: str) -> Interval:
-    """Return the mean with an interval of 95 %: over trainings where there are several, else over episodes."""
+    """Return the mean with a 95 % interval, over trainings if there are several, otherwise over episodes."""
     files: dict[str, list[float]] = {}
     for row in rows:
         files.setdefault(row["file"], []).append(float(row[column]))
@@ -152,8 +152,8 @@ def summary(rows: list[dict[str, Any]], weight: float) -> dict[str, Any]:
 def at_equal_speed(speed: float, others: list[dict[str, Any]]) -> tuple[float, str]:
     """Return the power [W] of handcrafted gaits at a speed, and their names.
 
-    It is the least on straight lines between two of them, a slower and a faster one. Only gaits without a fall count;
-    NaN where none is as slow, or as fast.
+    It is the minimum over linear interpolations between a slower and a faster gait. Only gaits without a fall count;
+    NaN if no gait is as slow, or as fast.
     """
     points = sorted((row["speed"], row["power"], row["gait"]) for row in others if row["falls"] == 0)
     selected = [
@@ -166,9 +166,9 @@ def at_equal_speed(speed: float, others: list[dict[str, Any]]) -> tuple[float, s
 
 
 def comparison(rows: list[dict[str, Any]], others: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return how much less power [%] a learned gait needs than handcrafted ones at the speed of each training.
+    """Return how much less power [%] a learned gait needs than handcrafted gaits at the speed of each training.
 
-    NaN where one of the trainings is slower, or faster, than all of them. Intervals are those of `estimate`.
+    NaN if one of the trainings is slower or faster than all handcrafted gaits. Intervals are as in `estimate`.
     """
     relative, names, each = [], [], []
     for file in dict.fromkeys(row["file"] for row in rows):
@@ -188,7 +188,7 @@ def comparison(rows: list[dict[str, Any]], others: list[dict[str, Any]]) -> dict
 
 
 def tuning(curve: list[dict[str, str]]) -> dict[str, Any]:
-    """Return the row of a gait's tuning: its own generations, and of those the ones with the commonest episodes."""
+    """Return the row of a gait's tuning: its generations, and those with the most frequent number of episodes."""
     own = [row for row in curve if row["gait"] == curve[-1]["gait"]]
     searches: dict[tuple[str, str], list[float]] = {}
     for row in own:
@@ -207,7 +207,7 @@ def tuning(curve: list[dict[str, str]]) -> dict[str, Any]:
 
 
 def tuning_figure(curves: dict[str, list[dict[str, str]]], path: Path) -> Path:
-    """Draw the least cost of each generation over what was simulated, a line for each tuning."""
+    """Plot the minimum cost of each generation over simulated control steps, one line per tuning."""
     with new_figure(path, (6.4, 3.6)) as (_, (ax,)):
         for number, (name, curve) in enumerate(curves.items()):
             steps = np.cumsum([float(row["control_steps"]) for row in curve]) / 1e6
@@ -215,7 +215,10 @@ def tuning_figure(curves: dict[str, list[dict[str, str]]], path: Path) -> Path:
             ax.plot(steps, costs, color=COLORS[number % len(COLORS)], linewidth=0.9)
             ax.annotate(name, (steps[-1], costs[-1]), (3, -2), textcoords="offset points", fontsize=7)
         ax.set(
-            xlabel="Control steps (million)", ylabel="Least cost of the generation (W)", yscale="log", ylim=(None, 200)
+            xlabel="Control steps (million)",
+            ylabel="Minimum cost of the generation (W)",
+            yscale="log",
+            ylim=(None, 200),
         )
         ax.set_yticks([5, 10, 20, 50, 100, 200], ["5", "10", "20", "50", "100", "200"])
         ax.minorticks_off()
@@ -224,7 +227,7 @@ def tuning_figure(curves: dict[str, list[dict[str, str]]], path: Path) -> Path:
 
 
 def figure(rows: list[dict[str, Any]], conditions: tuple[str, ...], path: Path) -> Path:
-    """Draw power over speed with intervals, a panel for each condition; gaits that fell are hollow."""
+    """Plot power over speed with intervals, one panel per condition; markers of gaits that fell are hollow."""
     with new_figure(path, (4.4 * len(conditions), 4.6), columns=len(conditions), sharey=True) as (_, axes):
         for ax, condition in zip(axes, conditions, strict=True):
             for row in (row for row in rows if row["condition"] == condition):
@@ -254,7 +257,7 @@ def figure(rows: list[dict[str, Any]], conditions: tuple[str, ...], path: Path) 
 
 
 def shown(row: dict[str, Any]) -> dict[str, str]:
-    """Return the cells of a row that people read."""
+    """Return the printed cells of a row."""
 
     def text(name: str, digits: int) -> str:
         columns = (name, f"{name}_low", f"{name}_high")

@@ -1,4 +1,4 @@
-"""Files that ask for more than there is, for `fuzz.py`: sizes of MJCF, nodes of COLLADA, checkpoints with a digest."""
+"""Malicious files for `fuzz.py`: MJCF with huge sizes, COLLADA with nested nodes, changed checkpoints with a digest."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ JUNK: tuple[Any, ...] = (
 
 
 def _quadruped() -> str:
-    """Return an MJCF of a robot with four legs of three hinges."""
+    """Return the MJCF of a robot with four legs of three hinges."""
     legs = ""
     for name, x, y in (("FL", 0.2, 0.1), ("FR", 0.2, -0.1), ("RL", -0.2, 0.1), ("RR", -0.2, -0.1)):
         inside = '<geom type="sphere" size=".02" pos="0 0 -.2"/>'
@@ -75,7 +75,7 @@ def _collada() -> str:
 
 
 def expand_mjcf(content: bytes, rng: random.Random) -> bytes:
-    """Return an MJCF with one or two things that MuJoCo expands, of any size."""
+    """Return an MJCF with one or two elements that MuJoCo expands, of any size."""
     text = content.decode()
     for _ in range(rng.choice((1, 1, 2))):
         count = [rng.choice(COUNTS) for _ in range(3)]
@@ -112,7 +112,7 @@ def expand_mjcf(content: bytes, rng: random.Random) -> bytes:
 
 
 def expand_collada(content: bytes, rng: random.Random) -> bytes:
-    """Return a COLLADA file whose nodes hold each other many times, in any depth, with and without geometries."""
+    """Return a COLLADA file with nodes nested many times, to any depth, with and without geometries."""
     width, levels = rng.choice((1, 2, 10, 100)), rng.choice((1, 3, 11, 40, 1500))
     last = rng.choice(
         ("", '<instance_geometry url="#g"/>', '<instance_node url="#n"/>', f'<instance_node url="#b{levels}"/>')
@@ -130,7 +130,7 @@ def expand_collada(content: bytes, rng: random.Random) -> bytes:
 
 
 def change_checkpoint(content: bytes, rng: random.Random) -> bytes:
-    """Return a checkpoint with another value somewhere in it, and the digest that matches."""
+    """Return a checkpoint with one changed value and a matching digest."""
     from surefoot.learn.run_folder import read_checkpoint, write_checkpoint
 
     with tempfile.TemporaryDirectory() as folder:
@@ -141,7 +141,7 @@ def change_checkpoint(content: bytes, rng: random.Random) -> bytes:
 
 
 def _change(value: Any, rng: random.Random) -> Any:
-    """Return a state with one value in it, at any depth, replaced, dropped, reshaped or made no number."""
+    """Return a state with one value at any depth replaced, dropped, reshaped or set to NaN."""
     import torch
 
     if isinstance(value, dict) and value and rng.random() < 0.95:
@@ -177,4 +177,4 @@ EXPANSIONS: dict[str, Callable[[bytes, random.Random], bytes]] = {
     ".dae": expand_collada,
     ".ckpt": change_checkpoint,
 }
-"""What is done to a file of each kind, besides damage to its bytes and words."""
+"""Changes of each kind of file, in addition to damaged bytes and words."""

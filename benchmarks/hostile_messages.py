@@ -1,4 +1,4 @@
-"""Messages that no browser sends, drawn from a grammar of the pages' keys, for `fuzz.py` and the tests of pages."""
+"""Invalid messages to pages, generated at random from a grammar of their keys, for `fuzz.py` and tests of pages."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from surefoot.robot.params import PARAMETERS
 from surefoot.world.terrain import KINDS
 
 LIMIT = 2000
-"""Bytes of the longest message; the connection of a tab that sends a longer one is closed, with that reason."""
+"""Maximum length of a message in bytes; the page closes the connection of a tab that sends a longer one."""
 ATOMS = (
     *("null", "true", "false", "0", "-1", "1", "0.5", "1e308", "-1e308", "1e999", "NaN", "-Infinity", "9" * 400),
     *('""', '"x"', '"\\u0000"', '"\\ud800"', '"../../etc/passwd"', '"flat"', '"stairs"', '"html"', '"motor_strength"'),
@@ -31,7 +31,7 @@ ATOMS = (
         '{"a":' * 200 + "1" + "}" * 200,
     ),
 )
-"""Values, as JSON has them and as it does not."""
+"""Values that are valid JSON, and some that are not."""
 NUMBERS = ("0", "-0.0", "1", "-1", "0.5", "3", "0.1", "1e-300", "1e4", "-1e4", "1e15", "-1e15", "1e30")
 TERRAINS = ("flat", *KINDS, "ice")
 SHAPES: dict[str, tuple[tuple[str, ...], ...]] = {
@@ -40,14 +40,14 @@ SHAPES: dict[str, tuple[tuple[str, ...], ...]] = {
     "push": (NUMBERS, NUMBERS, ("0.1", "0.3", "1", *NUMBERS)),
     "terrain": (tuple(map(json.dumps, TERRAINS)), NUMBERS),
 }
-"""Values of the right form, which may be out of any range, by key: a list of one of each."""
+"""Values of the right type, possibly out of range, by key; a message takes one from each list."""
 FOREIGN = ('""', '"left"', '"__class__"', '"\\u0000"', '"\\ud800"', f'"{"k" * 1000}"', "1")
 BROKEN = ("", "{", "\0", '{"set": [', b"\xff\xfe", b"\x00" * 50, "9" * 1900, "[" * 1900, "x" * 1_000_000)
-"""Messages that are no JSON."""
+"""Messages that are not JSON."""
 
 
 def draw_value(rng: random.Random, depth: int = 0) -> str:
-    """Return a value of any type and size: an atom, a list or an object of values."""
+    """Return a random value of any type and size: an atom, a list or an object of values."""
     kind = rng.random()
     if kind < 0.5 or depth > 2:
         return rng.choice(ATOMS)
@@ -58,7 +58,7 @@ def draw_value(rng: random.Random, depth: int = 0) -> str:
 
 
 def draw_message(rng: random.Random, kind: type[TabMessage]) -> str | bytes:
-    """Return a message with keys of a page, or of none."""
+    """Return a random message, with keys that the page knows or without."""
     form = rng.random()
     if form < 0.1:
         return rng.choice(BROKEN)
@@ -71,7 +71,7 @@ def draw_message(rng: random.Random, kind: type[TabMessage]) -> str | bytes:
 
 
 def open_tab(address: str, patience: float = 20.0) -> ClientConnection:
-    """Return a tab that drives, of the page at an address."""
+    """Connect to the page at an address as the tab that drives."""
     host, end = address.split("/")[2], time.monotonic() + patience
     tab = connect(f"ws://{host}/socket", origin=f"http://{host}", open_timeout=patience, close_timeout=0.2)  # type: ignore[arg-type]
     while not json.loads(tab.recv(timeout=max(end - time.monotonic(), 0.0))).get("driver"):
@@ -80,10 +80,10 @@ def open_tab(address: str, patience: float = 20.0) -> ClientConnection:
 
 
 def send_messages(address: str, kind: type[TabMessage], rng: random.Random, count: int, patience: float) -> str:
-    """Send messages to a page until they are sent, or one asks its robot to stop; a good command follows each.
+    """Send random messages to a page, each followed by a valid command, until one asks the robot to stop.
 
     Returns:
-        what is wrong; empty if the page acts on each of those commands within `patience` [s].
+        A description of the failure; empty if the page acts on each valid command within `patience` [s].
     """
     text: str | bytes = ""
     try:
@@ -115,7 +115,7 @@ def _await_close(tab: ClientConnection, patience: float) -> None:
 
 
 def _asks_to_stop(kind: type[TabMessage], text: str | bytes) -> bool:
-    """Return whether a robot sits down or is damped after a message."""
+    """Return whether a message makes the robot sit down or damp its motors."""
     try:
         message = read_message(kind, text)
     except SurefootError:
@@ -127,7 +127,7 @@ def _steer(tab: ClientConnection, kind: type[TabMessage], speed: float, patience
     """Send a speed [m/s], and read until the page reports it as the robot's command.
 
     Raises:
-        TimeoutError: it does not within `patience` [s].
+        TimeoutError: it does not report it within `patience` [s].
     """
     runs = {"pause": False} if kind is DriveMessage else {}
     again, end = 0.0, time.monotonic() + patience

@@ -2,11 +2,11 @@
 
     python benchmarks/identification.py --seeds 1-5 --worlds mujoco bullet
 
-Each draw is a process of its own (`surefoot emulate --hidden-seed`), on its rack and then on the ground; experiments
-and fits see what comes over the link and nothing else. The hidden values are read after all fits. Draws are kept in
---draws and made once; tables are of all that it has. --out has estimates.csv, a row a value, and accuracy.csv, a row a
-parameter: how many values lie within their 95 % intervals, errors, and how many values were not identifiable, which
-count as neither. Its last rows are sums over the parameters that are hidden, and the time that robot and fits took.
+Each robot is a separate process (`surefoot emulate --hidden-seed`), on its rack and then on the ground; experiments and
+fits use only the data that the link transmits. The hidden values are read after all fits. Results of each robot are
+stored in --draws, and the tables contain all of them. --out has estimates.csv, one row per value, and accuracy.csv, one
+row per parameter: how many values lie within their 95 % intervals, errors, and how many values were not identifiable,
+which count as neither. Its last rows are sums over the hidden parameters, and the time for experiments and fits.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ import numpy as np
 from surefoot.actuator.motor import motor_torque
 from surefoot.deploy.links import open_link
 from surefoot.deploy.loop import RunMonitor
-from surefoot.identify.experiment_runner import PERIOD, run_plan
+from surefoot.identify.experiment_runner import COMMAND_PERIOD, run_plan
 from surefoot.identify.recording import COMPLETE
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.identify.result import Identification
@@ -39,13 +39,13 @@ HIDDEN = (
     *("motor_friction", "torque_constant", "resistance", "voltage", "servo_latency", "control_latency"),
     *("contact_friction", "imu_bias", "imu_noise"),
 )
-"""Parameters that `--hidden-seed` draws: all rows of Table I but the control step, which is the host's, and K_t, R and
-the servo's latency."""
+"""Parameters that `--hidden-seed` randomizes: the paper's table I without the control step, which belongs to the host,
+and in addition K_t, R and the servo latency."""
 WORLDS = ("mujoco", "bullet")
 CURVE = "saturation_curve"
-"""Name of the rows of strength, R and saturation together, whose error is relative."""
+"""Name of the rows for strength, R and saturation combined, whose error is relative."""
 ORDER = ("motor", "mass", "contact", "latency")
-"""The motor experiment first: the battery's voltage is that of a robot just switched on."""
+"""The motor experiment comes first, because the battery then has the voltage of a robot just switched on."""
 
 
 def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
@@ -61,7 +61,7 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
             options = ("--world", world, "--hidden-seed", seed, "--out", hidden, "--seed", seed)
             with emulated_robot(*options, *(["--rack"] if experiment.rack else [])) as port:
                 link = open_link(port, robot.num_motors, lockstep=True)
-                link.connect(state_period=PERIOD)
+                link.connect(state_period=COMMAND_PERIOD)
                 recording = run_plan(link, experiment.plan(robot), robot, RunMonitor())
                 link.close()
             if recording.meta["ended"] != COMPLETE:
@@ -77,7 +77,7 @@ def one_draw(robot: RobotDescription, world: str, seed: int) -> dict[str, Any]:
 
 
 def compare(robot: RobotDescription, results: dict[str, Identification], truth: PhysicalParams) -> list[dict[str, Any]]:
-    """Return each hidden value beside its estimate."""
+    """Return each hidden value with its estimate."""
     rows = []
     for name in HIDDEN:
         true = np.atleast_1d(getattr(truth, name)[0])
@@ -103,12 +103,15 @@ def compare(robot: RobotDescription, results: dict[str, Identification], truth: 
 
 
 def body_mass(robot: RobotDescription) -> float:
-    """Mass of the base and all that is fixed to it [kg]."""
+    """Return the mass of the base and everything that is fixed to it [kg]."""
     return sum(robot.urdf.links[name].mass for name in robot.urdf.fixed_to(robot.base))
 
 
 def curve(robot: RobotDescription, motor: Identification, truth: PhysicalParams) -> dict[str, Any]:
-    """Mean relative error of torque over net voltage, .2 to 8 V, of all motors: strength, R and the curve together."""
+    """Return the mean relative error of the torque at 0.2 to 8 V net voltage over all motors.
+
+    It combines the errors of strength, R and the torque-current curve.
+    """
     volts = np.linspace(0.2, 8.0, 40)[:, None]
     table = robot.torque_table
     strength = np.array([motor.estimate("motor_strength", m).value for m in range(robot.num_motors)])
@@ -124,7 +127,7 @@ def curve(robot: RobotDescription, motor: Identification, truth: PhysicalParams)
 
 
 def estimates(draws: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row for each value of all draws, with the share of the true value that its error is."""
+    """Return one row per value of all robots, with its error relative to the true value."""
     rows = []
     for draw in draws:
         for value in draw.get("values", ()):
@@ -138,7 +141,7 @@ def estimates(draws: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def accuracy(rows: list[dict[str, Any]], draws: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row for each parameter, and those of all hidden ones and of times [s]."""
+    """Return one row per parameter, and rows for all hidden parameters and for times [s]."""
     table = []
     groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for row in rows:
@@ -157,7 +160,7 @@ def accuracy(rows: list[dict[str, Any]], draws: list[dict[str, Any]]) -> list[di
 
 
 def errors(rows: list[dict[str, Any]], name: str) -> dict[str, float]:
-    """Return medians and the worst of errors, absolute and relative; nothing for several parameters or no value."""
+    """Return median and maximum of absolute and relative errors; empty for several parameters or without values."""
     if not rows or name.startswith("hidden"):
         return {}
     values: dict[str, float] = {}
@@ -174,7 +177,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", default="1-5", help="first and last hidden seed")
     parser.add_argument("--worlds", nargs="+", default=WORLDS)
-    parser.add_argument("--draws", type=Path, default=Path("build/identification.jsonl"), help="draws, one a line")
+    parser.add_argument(
+        "--draws", type=Path, default=Path("build/identification.jsonl"), help="results, one robot per line"
+    )
     parser.add_argument("--out", type=Path, default=Path("results/identification"), help="folder of the tables")
     args = parser.parse_args()
     first, last = (int(part) for part in (args.seeds.split("-") * 2)[:2])

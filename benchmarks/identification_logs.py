@@ -1,12 +1,12 @@
-"""Intervals of `surefoot identify --trace`, on logs of made-up Go2s that hang, whose parameters nobody tells the fit.
+"""Coverage of the intervals of `surefoot identify --trace`, on logs of simulated suspended Go2s with hidden parameters.
 
     python benchmarks/identification_logs.py --logs 1-20             # half a minute each
-    python benchmarks/identification_logs.py --logs 1-5 --known      # the fit is told the gains
-    python benchmarks/identification_logs.py --summary               # the table of the logs that are there
+    python benchmarks/identification_logs.py --logs 1-5 --known      # the fit knows the gains
+    python benchmarks/identification_logs.py --summary               # the table of existing logs
 
-The robots are simulated by MuJoCo's own actuators and joint friction, step 1 ms, with nothing of surefoot but the URDF:
-gains, friction, damping, rotor inertia, delay and offsets of encoders are drawn. A value whose interval is missing is
-declared unidentifiable.
+The robots are simulated with MuJoCo's own actuators and joint friction and a step of 1 ms; of surefoot, they use only
+the URDF. Gains, friction, damping, rotor inertia, delay and encoder offsets are random. A missing interval means that
+the fit declared the value unidentifiable.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ STEP, EVERY, SETTLE, LENGTH = 0.001, 5, 2.0, 12.0
 LOW = np.array([-0.1, 1.2, -2.4, 0.1, 1.2, -2.4] * 2)
 HIGH = np.array([-0.5, 0.6, -1.4, 0.5, 0.6, -1.4] * 2)
 NOISE = 1e-4
-"""Of encoders [rad]."""
+"""Standard deviation of encoder noise [rad]."""
 FACTORS = {"motor_friction": (0.5, 2.0), "motor_viscous_friction": (0.5, 2.0), "rotor_inertia": (0.5, 1.5)}
-"""What each kind of joint has, over the sheet's value."""
+"""Factors of the data sheet's values, by kind of joint."""
 
 
 def draw_truth(robot: RobotDescription, number: int) -> dict[str, Any]:
-    """Return the hidden parameters of a robot, arrays of its 12 motors or numbers."""
+    """Return a robot's random hidden parameters, as arrays over its 12 motors or numbers."""
     draw, nominal = np.random.default_rng([64, number]), PhysicalParams.nominal(robot)
     truth: dict[str, Any] = {
         "servo_kp": draw.uniform(15, 60),
@@ -51,7 +51,7 @@ def draw_truth(robot: RobotDescription, number: int) -> dict[str, Any]:
 
 
 def make_log(robot: RobotDescription, truth: dict[str, Any], number: int) -> RecordedMotion:
-    """Return the log of a hanging robot that is at rest, then follows triangles that get faster."""
+    """Return the log of a suspended robot that rests, then follows triangle waves of increasing frequency."""
     spec = mujoco.MjSpec.from_file(str(robot.folder / "go2.urdf"))
     spec.option.timestep, spec.option.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for geom in spec.geoms:
@@ -76,7 +76,7 @@ def make_log(robot: RobotDescription, truth: dict[str, Any], number: int) -> Rec
         angles[tick] = data.qpos[places]
         if tick % EVERY == 0:
             command = LOW + share * (HIGH - LOW)
-            # The drive closes its loop with its own encoder.
+            # The motor controller closes its loop with its own encoder.
             data.ctrl[:] = command - truth["motor_offset"]
             if t >= -1e-9:
                 times.append(t)
@@ -86,13 +86,13 @@ def make_log(robot: RobotDescription, truth: dict[str, Any], number: int) -> Rec
     at = (np.array(times) + SETTLE - truth["control_latency"]) / STEP
     readings = np.stack([np.interp(at, np.arange(ticks), column) for column in angles.T], axis=1)
     readings += truth["motor_offset"] + draw.normal(0, NOISE, readings.shape)
-    # Rows jitter, as a measured clock has them.
+    # Times of rows jitter like a measured clock.
     stamps = np.array(times) + draw.uniform(0, 2e-4, len(times))
     return RecordedMotion(f"log {number}", stamps, np.array(commands), stamps, readings, rack=True)
 
 
 def identify(robot: RobotDescription, number: int, known: bool) -> list[dict[str, Any]]:
-    """Return a row for each hidden value of a log: its true value, estimate and interval."""
+    """Return one row per hidden value of a log: true value, estimate and interval."""
     truth = draw_truth(robot, number)
     motion, prior, begin = make_log(robot, truth, number), PhysicalParams.nominal(robot), time.process_time()
     gains = ("servo_kp", "servo_kd") if known else ()
@@ -104,7 +104,7 @@ def identify(robot: RobotDescription, number: int, known: bool) -> list[dict[str
     for name in truth:
         if name in gains:
             continue
-        # Of a kind of joint the first one: the robot has them alike.
+        # The first joint of each kind: the robot's others have the same values.
         for index in range(12) if name == "motor_offset" else range(3) if np.ndim(truth[name]) else [None]:
             hidden = float(truth[name] if index is None else truth[name][index])
             found = [item for item in result.estimates if item.name == name and item.index in (index, None)]
@@ -123,20 +123,20 @@ def identify(robot: RobotDescription, number: int, known: bool) -> list[dict[str
 
 
 def summary(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return a row for each parameter and one for all: how many intervals hold, and how many are declared unknown."""
+    """Return one row per parameter and one for all: intervals that contain the true value, and missing intervals."""
     table = []
     for known in sorted({row["known"] for row in rows}):
         for name in [*dict.fromkeys(row["name"] for row in rows), "all"]:
             some = [row for row in rows if row["known"] == known and name in (row["name"], "all")]
             if not some:
                 continue
-            told = [row for row in some if row["identifiable"] == "1"]
+            identifiable = [row for row in some if row["identifiable"] == "1"]
             table.append({
                 "gains": "known" if known == "1" else "unknown", "parameter": name, "values": len(some),
-                "declared": len(some) - len(told), "intervals": len(told),
-                "hold": sum(row["inside"] == "1" for row in told),
+                "declared": len(some) - len(identifiable), "intervals": len(identifiable),
+                "hold": sum(row["inside"] == "1" for row in identifiable),
                 "inside_or_declared": sum(row["inside"] == "1" for row in some),
-                "worst_half_widths": max((float(row["half_widths_off"]) for row in told), default=0.0),
+                "worst_half_widths": max((float(row["half_widths_off"]) for row in identifiable), default=0.0),
             })  # fmt: skip
     return table
 
@@ -145,8 +145,8 @@ def main() -> None:
     """Fit logs, and write the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--logs", default="1-20", help="numbers of the logs, such as 1-20")
-    parser.add_argument("--known", action="store_true", help="tell the fit the gains")
-    parser.add_argument("--summary", action="store_true", help="fit nothing; print the table of what is there")
+    parser.add_argument("--known", action="store_true", help="the fit knows the gains")
+    parser.add_argument("--summary", action="store_true", help="no fits; print the table of existing logs")
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args()
     robot = RobotDescription.load("go2")

@@ -3,9 +3,9 @@
     python benchmarks/identified_robot.py
 
 The robot is emulated in Bullet (`surefoot emulate --hidden-seed`) and identified by the four experiments, which write
---params; a file that is there is taken as it is. The policy is deployed on that robot, and runs in simulations of the
-data sheet's robot and of the identified one, in both engines. --out has a row for each simulation: returns [m], and
-the gap, the return in simulation less the mean on the robot.
+--params; an existing file is used as it is. The policy is deployed on that robot, and runs in simulations of the data
+sheet's robot and of the identified robot, in both engines. --out has one row per simulation: returns [m], and the gap,
+which is the return in simulation minus the mean return on the robot.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from pathlib import Path
 from emulated import deploy
 
 from surefoot.evaluation.runs import measure_runs
-from surefoot.studies.robot_identification import SUREFOOT, identify_robot
+from surefoot.studies.robot_identification import SUREFOOT_COMMAND, identify_robot
 from surefoot.tables import write_csv
 
 
 def surefoot(*words: object) -> str:
     """Run a command; return its output."""
-    done = subprocess.run([*SUREFOOT, *map(str, words)], capture_output=True, text=True, check=False)
+    done = subprocess.run([*SUREFOOT_COMMAND, *map(str, words)], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(done.stderr)
     return done.stdout
@@ -37,12 +37,12 @@ def main() -> None:
     parser.add_argument("--policy", default="trot-robust")
     parser.add_argument("--hidden-seed", type=int, default=48)
     parser.add_argument("--hidden-ranges", default="table1", help="as for `surefoot emulate`")
-    parser.add_argument("--runs", type=int, default=3, help="on the robot")
+    parser.add_argument("--runs", type=int, default=3, help="runs on the robot")
     parser.add_argument("--params", type=Path, default=Path("results/identification/hidden-48.toml"))
     parser.add_argument("--out", type=Path, default=Path("results/identification/end_to_end.csv"))
     options = parser.parse_args()
-    drawn = ("--hidden-seed", options.hidden_seed, "--hidden-ranges", options.hidden_ranges)
-    robot = ("--world", "bullet", *drawn, "--seed", options.hidden_seed)
+    hidden = ("--hidden-seed", options.hidden_seed, "--hidden-ranges", options.hidden_ranges)
+    robot = ("--world", "bullet", *hidden, "--seed", options.hidden_seed)
     if not options.params.exists():
         with tempfile.TemporaryDirectory() as folder:
             identify_robot(robot, options.params, Path(folder) / "work", "minitaur")

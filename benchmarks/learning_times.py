@@ -1,9 +1,9 @@
-"""Time that trainings took: a row a run, from the figures in its folder.
+"""Duration of trainings, one row per run, from the metrics in its folder.
 
     surefoot train gallop --seed 0 --threads 1 --learning-threads 1
     python benchmarks/learning_times.py runs/gallop/* runs/trot/*
 
-The time is that of rollouts and learning, without evaluations; other work on the same cores makes it longer.
+The time includes rollouts and learning, without evaluations; other load on the same cores increases it.
 """
 
 from __future__ import annotations

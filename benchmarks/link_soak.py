@@ -1,9 +1,9 @@
-"""A million frames over a line that flips, loses, doubles, delays, cuts and invents: what comes out at the other end.
+"""Soak test of the serial link: a million frames over a line with bit errors, losses, duplicates, delays and garbage.
 
-Frames go through a bad line, in pieces of random size, into the link as the host runs it. What must come out is known
-without it: a frame is whole if the bytes between two zeros of the line are those of a frame that was sent, and it is
-taken if its number is above the last one's. Anything else that comes out is wrong, anything that does not is lost;
-either makes the script end with 1. A frame that nothing happened to must come out whatever its neighbours suffer.
+Frames go through the bad line, in chunks of random size, into the host's link. The expected result is independent of
+the link: a frame is whole if the bytes between two zeros on the line equal a frame that was sent, and it is accepted if
+its number is higher than the last one's. Any other output is wrong, and a missing frame is lost; in both cases the
+script ends with exit code 1. An undisturbed frame must be received whatever happens to its neighbours.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from surefoot.deploy.serial.port import SerialPort
 from surefoot.deploy.serial.serial_link import SerialLink
 
 BLOCK = 1000
-"""Frames that are sent, carried and compared at a time."""
+"""Number of frames that are sent and compared at a time."""
 CODEC = Codec(8)
 STATE = State(
     session=4660,
@@ -47,25 +47,25 @@ STATE = State(
 
 
 class BadLine:
-    """A line that does to every second frame one of the things that lines do, and puts garbage between some.
+    """Line that disturbs every second frame in one way, and inserts garbage between some.
 
     Args:
-        rng: what happens.
+        rng: random generator of the disturbances.
     """
 
     def __init__(self, rng: random.Random) -> None:
         self.rng = rng
         self.fates: Counter[str] = Counter()
-        """How many frames met what."""
+        """Number of frames by disturbance."""
 
     def carry(self, frames: Sequence[bytes]) -> tuple[bytes, list[int]]:
-        """What arrives of some frames.
+        """Transmit frames over the line.
 
         Returns:
-            the bytes, and indices of the frames that nothing happened to but what stands between them.
+            The received bytes, and the indices of frames that are undisturbed, except for garbage between them.
         """
         rng = self.rng
-        chunks: list[tuple[float, bytes]] = []  # with the place that they arrive at
+        chunks: list[tuple[float, bytes]] = []  # with their position in the order of arrival
         untouched, at = [], 0
         while at < len(frames):
             data, place, last = frames[at], float(at), at
@@ -111,12 +111,12 @@ class BadLine:
         return data[:start] + self.rng.randbytes(len(data[start : start + length])) + data[start + length :]
 
     def _cut(self, data: bytes) -> bytes:
-        """Without its beginning, its middle or its end."""
+        """Remove the beginning, the middle or the end of a frame."""
         start, end = sorted(self.rng.sample(range(len(data) + 1), 2))
         return self.rng.choice((data[start:], data[:end], data[:start] + data[end:]))
 
     def _garbage(self, frames: Sequence[bytes]) -> bytes:
-        """Noise, a part of a frame that was sent, zeros, or more bytes without a zero than any frame has."""
+        """Return noise, a part of a frame that was sent, zeros, or more bytes without a zero than any frame has."""
         kind = self.rng.randrange(40)
         if kind == 0:
             return b"\x55" * (MAX_FRAME + self.rng.randint(-2, 200))
@@ -134,7 +134,7 @@ FATES = (
 
 
 class Tape(SerialPort):
-    """A port that gives bytes in pieces of random size."""
+    """Serial port that returns bytes in chunks of random size."""
 
     def __init__(self, rng: random.Random) -> None:
         self.rng, self.data = rng, b""
@@ -146,7 +146,7 @@ class Tape(SerialPort):
 
 
 class Listener(Decoder):
-    """A decoder that keeps all decoded packets."""
+    """Decoder that stores all decoded packets."""
 
     def __init__(self) -> None:
         super().__init__(CODEC)
@@ -160,22 +160,22 @@ class Listener(Decoder):
 
 @dataclass
 class Result:
-    """What went over the line, and what came out."""
+    """Counts of sent and received frames."""
 
     frames: int = 0
     bytes_on_line: int = 0
     fates: dict[str, int] = field(default_factory=dict)
     whole: int = 0
-    """Frames on the line whose bytes are as they were sent; doubled ones count twice."""
+    """Frames on the line that equal a sent frame; duplicates count twice."""
     received: int = 0
     wrong: int = 0
-    """Frames that came out and are not as they were sent, or not at their place."""
+    """Received frames that differ from sent ones, or are in the wrong order."""
     lost: int = 0
-    """Whole frames that did not come out, and frames that nothing happened to but that were not whole on the line."""
+    """Whole frames that were not received, and undisturbed frames that were not whole on the line."""
     taken: int = 0
-    """Of those received, in order of their numbers."""
+    """Received frames that were accepted by their number."""
     repeated: int = 0
-    """Of those received, dropped because their number was not above the last one's."""
+    """Received frames that were dropped because their number was not above the last one's."""
     wrongly_taken: int = 0
     wrongly_dropped: int = 0
     damaged_pieces: int = 0
@@ -189,7 +189,7 @@ class Result:
 
 
 def traffic(rng: random.Random, count: int) -> list[Message]:
-    """Messages to choose from; most are commands, as on a true line."""
+    """Return messages to send; most are commands, as on a real line."""
     values = np.random.default_rng(rng.randrange(2**32))
     made: list[Message] = []
     for _ in range(count):
@@ -221,9 +221,9 @@ def soak(count: int, seed: int) -> Result:
         numbers = range(first, min(first + BLOCK, count + 1))
         frames = [encode_frame(CODEC, pool[number % len(pool)], number, number * 0.005) for number in numbers]
         stream, untouched = line.carry(frames)
-        stream += b"\0"  # one that is not sent, so that the block's last frame does not wait for the next block
+        stream += b"\0"  # an additional zero, so that the block's last frame does not wait for the next block
         result.bytes_on_line += len(stream)
-        # What must come out.
+        # Expected output.
         sent = {frame[1:-1]: number for frame, number in zip(frames, numbers, strict=True)}
         *pieces, rest = (rest + stream).split(b"\0")
         whole = [number for piece in pieces if (number := sent.get(piece, before.get(piece))) is not None]
@@ -233,7 +233,7 @@ def soak(count: int, seed: int) -> Result:
             if number > last:
                 taken.append(number)
                 last = number
-        # What does.
+        # Actual output.
         tape.data, arrivals = stream, []
         while tape.data:
             arrivals += link.receive()
@@ -264,7 +264,7 @@ def soak(count: int, seed: int) -> Result:
 
 
 def main() -> int:
-    """Run, print the counts, and end with 1 if anything went wrong."""
+    """Run, print the counts, and return 1 after a failure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=0)

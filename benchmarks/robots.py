@@ -1,11 +1,11 @@
-"""What robots cost and whether their physics step is short enough, for a policy of each.
+"""Simulation cost of robots, and check that their physics step is short enough, with one policy each.
 
     python benchmarks/robots.py trot go2-trot runs/mine-trot/*/policy.onnx
     python benchmarks/robots.py trot solo8-trot go2-trot pupper_v2-trot --turns 0 --episodes 20 --out results/robots.csv
 
-For each policy: physics steps per second of `world`, `env` and `train` as ratios to `bare`, as benchmarks/throughput.py
-has them; and the speed of the policy with its robot's physics step and with half of it, which must be within 3 %.
-Control step and latencies stay the same.
+For each policy: physics steps per second of `world`, `env` and `train` relative to `bare` (see
+benchmarks/throughput.py); and the policy's speed with its robot's physics step and with half of it, which must agree
+within 3 %. Control step and latencies are the same.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rounds import measure, ratio_quartiles
 from throughput import Bench
 
 from surefoot.api.policies import find_policy
-from surefoot.evaluation.conditions import home_task
+from surefoot.evaluation.conditions import undisturbed_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -33,11 +33,11 @@ from surefoot.task.contract_mapping import task_from_contract
 from surefoot.world.sim_world import SimWorld
 
 WITHIN = 0.03
-"""Change of the speed by half the step that is allowed, as a share."""
+"""Maximum relative change of the speed with half the physics step."""
 
 
 def speed_and_falls(policy: PolicyRuntime, task: TaskConfig, episodes: int) -> tuple[float, int]:
-    """Return the mean speed [m/s] over the ground and the number of falls."""
+    """Return the mean ground speed [m/s] and the number of falls."""
     traces = run_episodes(policy, task, episodes, SimWorld, seed=1)
     moved = [(trace.base_position_world[-1, 0] - trace.base_position_world[0, 0]) / trace.time[-1] for trace in traces]
     return float(np.mean(moved)), sum(trace.meta["ended"] == "fall" for trace in traces)
@@ -57,10 +57,10 @@ def with_half_step(robot: RobotDescription, folder: Path) -> Path:
     return copy
 
 
-def figures(name: str, episodes: int, num_envs: int, turns: int, rounds: int) -> dict[str, float | str]:
+def measure_robot(name: str, episodes: int, num_envs: int, turns: int, rounds: int) -> dict[str, float | str]:
     """Return one policy's row."""
     policy = PolicyRuntime.load(find_policy(name))
-    task = home_task(task_from_contract(policy.contract))
+    task = undisturbed_task(task_from_contract(policy.contract))
     robot = RobotDescription.load(task.robot)
     row: dict[str, float | str] = {"policy": name, "robot": robot.name, "step": robot.timing.servo_step}
     row["speed"], row["falls"] = speed_and_falls(policy, task, episodes)
@@ -83,17 +83,17 @@ def figures(name: str, episodes: int, num_envs: int, turns: int, rounds: int) ->
 def main() -> int:
     """Print a line for each policy; exit code 1 if half the step changes a speed by more than 3 %."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("policies", nargs="+", help="policy files, or names of policies that ship")
+    parser.add_argument("policies", nargs="+", help="policy files, or names of released policies")
     parser.add_argument("--episodes", type=int, default=5)
     parser.add_argument("--num-envs", type=int, default=256)
     parser.add_argument("--turns", type=int, default=200, help="turns of the layers; 0 leaves them out")
     parser.add_argument("--rounds", type=int, default=5, help="updates of training; 0 leaves them out")
-    parser.add_argument("--json", action="store_true", help="print one JSON object a policy")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per policy")
     parser.add_argument("--out", type=Path, help="file for the rows (.csv)")
     options = parser.parse_args()
     worst, rows = 0.0, []
     for name in options.policies:
-        row = figures(name, options.episodes, options.num_envs, options.turns, options.rounds)
+        row = measure_robot(name, options.episodes, options.num_envs, options.turns, options.rounds)
         rows.append(row)
         worst = max(worst, float(row["change"]))
         formatted = {key: f"{value:.4g}" if isinstance(value, float) else value for key, value in row.items()}

@@ -1,13 +1,13 @@
-"""Trainings an hour by a bare loop, and on Ray with 1 and 2 workers; what Ray costs, in percent.
+"""Trainings per hour in a bare loop, and with Ray on 1 and 2 workers; overhead of Ray in percent.
 
     bare  a loop in this process: train, export, next
-    one   the same trainings through `run_trainings` with 1 worker; its start (imports, compiled code) included
+    one   the same trainings through `run_trainings` with 1 worker, including its start (imports, compiled code)
     two   the same with 2 workers
 
-They take turns, so that a slow moment is slow for all. `warm` leaves out a worker's start: it counts from the end of
-its first training on. Ray's own start is reported separately.
+They take turns, so that load changes affect all equally. `warm` leaves out a worker's start: it counts from the end of
+the worker's first training. Ray's own start is reported separately.
 
-    python benchmarks/search.py                      # gallops of 100,000 control steps, 4 a turn, 3 turns
+    python benchmarks/search.py                      # gallops of 100,000 control steps, 4 per turn, 3 turns
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ from surefoot.world.sim_world import SimWorld
 
 
 class Turns:
-    """Does the same trainings in each way, always in new folders."""
+    """Runs the same trainings in each way, always in new folders."""
 
     def __init__(self, folder: Path, task: str, steps: int, count: int) -> None:
         config = base_config(task)
         self.config = replace(config, steps=steps, evaluate_every=max(1, steps // 4))
         self.folder, self.count, self.turn = folder, count, 0
         self.warm: list[float] = []
-        """Time of a training on a worker that has begun [s], one for each turn with 1 worker."""
+        """Time per training on a warm worker [s], one for each turn with 1 worker."""
 
     def trainings(self) -> list[Training]:
         self.turn += 1
@@ -76,8 +76,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--task", default="gallop")
     parser.add_argument("--steps", type=int, default=100_000, help="control steps of a training")
-    parser.add_argument("--trainings", type=int, default=4, help="trainings a turn, 2 or more")
-    parser.add_argument("--rounds", type=int, default=3, help="turns of each way")
+    parser.add_argument("--trainings", type=int, default=4, help="trainings per turn, 2 or more")
+    parser.add_argument("--rounds", type=int, default=3, help="turns of each variant")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
     start = time.perf_counter()
@@ -95,14 +95,14 @@ def main() -> None:
         hourly = {name: [3600 * rate for rate in values] for name, values in rates.items()}
         print(json.dumps({"ray_start_seconds": began, "trainings_an_hour": hourly, "percent": overheads}))
         return
-    print(f"Ray started in {began:.1f} s; {options.steps:,} control steps a training")
+    print(f"Ray started in {began:.1f} s; {options.steps:,} control steps per training")
     for name, values in rates.items():
         print(
-            f"{name:<5} {3600 * sorted(values)[len(values) // 2]:8.1f} trainings an hour (median, {len(values)} turns)"
+            f"{name:<5} {3600 * sorted(values)[len(values) // 2]:8.1f} trainings per hour (median, {len(values)} turns)"
         )
     for what, (low, middle, high) in overheads.items():
         print(f"{what}: {middle:+.1f} % of the bare loop's time (quartiles {low:+.1f} to {high:+.1f})")
-    print(f"two workers over one: {ratio_quartiles(rates, 'two', 'one')[1]:.2f}")
+    print(f"ratio of two workers to one: {ratio_quartiles(rates, 'two', 'one')[1]:.2f}")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""How far from its start a steered robot ends after a square of 2 m, steered by a file through `surefoot deploy`.
+"""Distance between start and end after a square of 2 m, which a robot follows by a command file and `surefoot deploy`.
 
-The robot is emulated behind a pseudo-terminal, with noise in its sensors; `surefoot deploy` runs the policy as on a
-real one. Nothing but the policy and the held heading (the IMU's yaw) corrects the path. A corner is a stop, a quarter
-of a turn in place, and a stop. Writes a row for each engine, with the worst of its runs.
+The robot is emulated behind a pseudo-terminal with noisy sensors; `surefoot deploy` runs the policy as on a real one.
+Only the policy and the heading control (by the IMU's yaw) correct the path. A corner is a stop, a quarter turn on the
+spot, and a stop. Writes one row per engine, with the worst of its runs.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from surefoot.tables import write_csv
 from surefoot.task.trace import EpisodeTrace
 
 SIDE = 2.0
-"""Of the square [m]."""
+"""Side length of the square [m]."""
 REST = 0.6
-"""How long the robot stands before a side and before a corner [s]."""
+"""Standing time before each side and corner [s]."""
 
 
 def square(forward: float, yaw_rate: float) -> tuple[list[tuple[float, float, float, float]], float]:
-    """Return rows of time [s] and commands for a square to the left at some speeds [m/s, rad/s], and when it ends."""
+    """Return rows of time [s] and commands for a square to the left at speeds [m/s, rad/s], and the end time."""
     rows, time = [], 0.0
     for _ in range(4):
         for speed, rate, seconds in ((forward, 0.0, SIDE / forward), (0.0, yaw_rate, np.pi / 2 / yaw_rate)):
@@ -35,7 +35,7 @@ def square(forward: float, yaw_rate: float) -> tuple[list[tuple[float, float, fl
 
 
 def drive(policy: str, robot: str, world: str, forward: float, yaw_rate: float, seed: int) -> EpisodeTrace:
-    """Emulate a robot, let it drive the square, and return the run."""
+    """Emulate a robot, drive the square, and return the run."""
     rows, duration = square(forward, yaw_rate)
     with tempfile.TemporaryDirectory() as name:
         commands = Path(name) / "square.csv"
@@ -52,8 +52,8 @@ def main() -> None:
     parser.add_argument("--robot", default="go2", help="name or folder of the emulated robot")
     parser.add_argument("--worlds", nargs="+", default=["mujoco", "bullet"], help="engines that emulate it")
     parser.add_argument("--forward", type=float, default=0.5, help="speed along the sides [m/s]")
-    parser.add_argument("--yaw-rate", type=float, default=0.6, help="in the corners [rad/s]")
-    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the sensors' noise")
+    parser.add_argument("--yaw-rate", type=float, default=0.6, help="yaw rate in the corners [rad/s]")
+    parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="seed of the sensor noise")
     parser.add_argument("--out", type=Path, default=Path("results/steer/square.csv"))
     options = parser.parse_args()
     rows = []

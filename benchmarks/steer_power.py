@@ -1,14 +1,14 @@
-"""Where the power of a steered gait goes: a policy at .5 m/s straight on, on robots that differ in one thing.
+"""Power balance of a steered gait: a policy at 0.5 m/s straight ahead, on robots that differ in one parameter.
 
     python benchmarks/steer_power.py go2-steer --out results/steer/power.csv
 
 Means over time and four robots from 1.5 s to 5 s, of every servo step, with the torque t and speed w of each motor [W]:
 
     mechanical   |sum of t w|, as in rewards and evaluations
-    net          sum of t w; what mechanical has more is given and taken back: by inertia, springs, weight
-    coulomb      friction in the joints, f |w|
-    viscous      friction in the joints, b w^2
-    rest         net less both: impacts, sliding feet, the ground
+    net          sum of t w; the excess of mechanical is exchanged with inertia, springs and weight
+    coulomb      Coulomb friction in the joints, f |w|
+    viscous      viscous friction in the joints, b w^2
+    rest         net minus both: impacts, sliding feet, the ground
     abduction, hip, knee    parts of net
 """
 
@@ -33,9 +33,9 @@ JOINTS = ("abduction", "hip", "knee")
 CONDITIONS: dict[str, dict[str, float]] = {
     "as trained": {},
     "no Coulomb friction": {"motor_friction": 0.0},
-    "Coulomb friction .365 N m": {"motor_friction": 0.365},
+    "Coulomb friction 0.365 N m": {"motor_friction": 0.365},
     "no viscous friction": {"motor_viscous_friction": 0.0},
-    "rotors .00712 kg m2": {"rotor_inertia": 0.00712},
+    "rotors 0.00712 kg m2": {"rotor_inertia": 0.00712},
     "friction and rotors of `fitted`": {
         "motor_friction": 0.365,
         "motor_viscous_friction": 0.285,
@@ -44,7 +44,7 @@ CONDITIONS: dict[str, dict[str, float]] = {
     "gains 50, 1.43": {"servo_kp": 50.0, "servo_kd": 1.43},
     "gains 35, 1": {"servo_kp": 35.0, "servo_kd": 1.0},
 }
-"""Physical parameters that differ from the policy's task."""
+"""Changes of physical parameters relative to the policy's task, by condition."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Command:
     """Measure, print the table and write it."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional] = ("go2-steer",)
-    """Names of policies that ship, or policy files."""
+    """Names of released policies, or policy files."""
     speed: float = 0.5
     """Command [m/s]."""
     out: Path | None = None
@@ -61,13 +61,13 @@ class Command:
 
 @dataclass
 class Meter:
-    """Sums over servo steps of powers [W]."""
+    """Sums of powers over servo steps [W]."""
 
     sums: dict[str, float] = field(default_factory=dict)
     steps: int = 0
 
     def add(self, world: Any, speed: np.ndarray) -> None:
-        """Add the servo step that just ended, which began with speeds (N, M) [rad/s]."""
+        """Add the last servo step; `speed` (N, M) [rad/s] is the motor speed at its start."""
         state = world.actuation
         work = state.motor_torque * speed
         parts = {

@@ -1,4 +1,4 @@
-"""Share of robots that keep up with .5 m/s over terrain, by kind and size; a table and a figure.
+"""Success rate at a command of 0.5 m/s on terrain, by kind and size; writes a table and a figure.
 
     python benchmarks/terrain.py go2-terrain go2-steer
     python benchmarks/terrain.py go2-terrain --world bullet
@@ -7,10 +7,10 @@
     python benchmarks/terrain.py go2-terrain --world boxes --kinds stairs --episodes 32
     python benchmarks/terrain.py go2-terrain --gains 40 1 --kinds flat slope stairs
 
-In the world `boxes` stairs are of box geoms, and feet meet them by MuJoCo's own contacts (benchmarks/box_stairs.py).
+In the world `boxes`, stairs are box geoms with MuJoCo's own contacts (benchmarks/box_stairs.py).
 
-64 robots, 10 s; kept up: no fall, and .7 to 1.25 of the commanded way. Rows go to results/terrain/success.csv; rows of
-the same case are replaced, and `--missing` measures only those that are not there.
+64 robots, 10 s. Success: no fall, and 0.7 to 1.25 times the commanded path. Rows are written to
+results/terrain/success.csv, and replace rows of the same case; `--missing` measures only missing ones.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ class Command:
     policies: Annotated[tuple[str, ...], tyro.conf.Positional] = ("go2-terrain",)
     world: str = "mujoco"
     table1: bool = False
-    """Robots of the paper's table I."""
+    """Randomize physical parameters in the paper's ranges (table I)."""
     but: tuple[str, ...] = ()
-    """Rows of table I that stay nominal: what they cost is the difference."""
+    """Parameters of table I that stay nominal; the difference shows their effect."""
     gains: tuple[float, float] | None = None
     """Servo gains [N m/rad, N m s/rad]. Defaults to the policy's."""
     kinds: tuple[str, ...] = ("flat", *SIZES)
@@ -67,7 +67,7 @@ class Command:
 
 
 def main(command: Command) -> None:
-    """Measure every terrain that is asked for."""
+    """Measure every selected terrain."""
     path = command.out / "success.csv"
     table: dict[tuple[str, ...], dict[str, Any]] = {}
     if path.is_file():
@@ -77,7 +77,7 @@ def main(command: Command) -> None:
         policy, robot, task, _ = load_gait(find_policy(name), None)
         ranges = load_ranges("table1", robot=robot.folder)
         if unknown := set(command.but) - set(ranges):
-            raise SystemExit(f"--but {unknown.pop()} is no row of table I; choose from {', '.join(ranges)}")
+            raise SystemExit(f"--but {unknown.pop()} is not a parameter of table I; choose from {', '.join(ranges)}")
         ranges = {row: limits for row, limits in ranges.items() if row not in command.but}
         gains = dict(zip(("servo_kp", "servo_kd"), command.gains, strict=True)) if command.gains else {}
         condition = Condition(
@@ -97,10 +97,10 @@ def main(command: Command) -> None:
                 terrain = kind if kind == "flat" else f"{kind}:{size:g}"
                 run = replace(condition, terrain=terrain).apply(task, robot)
                 traces = run_episodes(policy, run, command.episodes, find_world(command.world), threads=command.threads)
-                figures = measure(traces, robot.weight)
+                metrics = measure(traces, robot.weight)
                 wanted = ("success", "falls", "episodes", "rmse_forward", "rmse_stride_forward", "power")
                 table[key] = dict(zip(KEYS, key, strict=True)) | {
-                    item: f"{value:.3g}" if isinstance(value := figures[item], float) else value for item in wanted
+                    item: f"{value:.3g}" if isinstance(value := metrics[item], float) else value for item in wanted
                 }
                 print(*table[key].values(), flush=True)
                 write_csv(path, [table[key] for key in sorted(table, key=lambda key: (*key[:4], float(key[4])))])

@@ -1,20 +1,20 @@
-"""Physics steps per second of each layer of surefoot, as ratios to MuJoCo alone on the same motion.
+"""Physics steps per second of each layer of surefoot, relative to bare MuJoCo on the same motion.
 
-    bare    `mj_step` alone, called from a compiled loop that puts in the forces recorded from the world: the same
-            robots go through the same motion, to the last bit
-    rollout the same by `mujoco.rollout`, which reads all forces and writes all states
+    bare    only `mj_step`, called from a compiled loop that applies the forces recorded from the world: the same
+            robots repeat the same motion, to the last bit
+    rollout the same with `mujoco.rollout`, which reads all forces and writes all states
     world   `SimWorld.step`: servo, motor, delays, foot contact and sensors around every physics step
-    env     `LocomotionEnv.step` with the policy file deciding
-    drawn   the same with all of table I but the control step drawn anew at every reset
+    env     `LocomotionEnv.step` with a policy file
+    drawn   the same with physical parameters randomized (table I without the control step) at every reset
     unequal the same with control steps of 3 to 20 ms in one batch, counted in physics steps
-    train   whole PPO updates, learning included
-    train+  the same with all of table I drawn
-    authors one process a core of the authors' PyBullet environment, where `pybullet` is installed
+    train   complete PPO updates, including learning
+    train+  the same with all of table I randomized
+    authors one process per core of the paper authors' PyBullet environment, if `pybullet` is installed
 
-Bare, world and env take turns of one control step of all robots, some milliseconds each, so that whatever else the
-machine does meets all of them alike. Then come the longer ones: a second or more of each, in turns too. With one
-thread, the default, time is the process's time on a processor; with more it is the wall's. Ratios are medians over
-turns, with quartiles. --out writes a row for each layer.
+Bare, world and env take turns of one control step of all robots, some milliseconds each, so that other load on the
+machine affects all equally. The longer layers follow, with a second or more each, also in turn. With one thread, the
+default, time is processor time; with several threads it is wall time. Ratios are medians over turns, with quartiles.
+--out writes one row per layer.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ FORCES = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED) | int(mujoco.mjtState.mjSTATE
 
 @njit(nogil=True)
 def _replay(step, model, data, places, forces, robots, steps):  # type: ignore[no-untyped-def]
-    """Step some robots with the forces recorded for them; with `step` 0 only put the forces in."""
+    """Step some robots with their recorded forces; with `step` 0 only apply the forces."""
     for i in range(robots[0], robots[1]):
         for k in range(steps[0], steps[1]):
             for j in range(places.shape[1]):
@@ -68,7 +68,7 @@ def _replay(step, model, data, places, forces, robots, steps):  # type: ignore[n
 
 
 class Bare:
-    """MuJoCo alone: the robots of a world with the forces that this world put on them, recorded."""
+    """Bare MuJoCo: the robots of a world with the recorded forces of that world."""
 
     def __init__(self, env: LocomotionEnv, threads: int) -> None:
         self.world = cast(Any, env.world)
@@ -89,7 +89,7 @@ class Bare:
         )
 
     def record(self, targets: np.ndarray, servo_steps: int) -> None:
-        """Step the world with these targets, one servo step at a time, and keep its states and forces."""
+        """Step the world with targets, one servo step at a time, and record its states and forces."""
         world, model, datas = self.world, self.world.engine.models[0], self.world.engine.datas
         control_step = world.params.control_step.copy()
         world.params.control_step[:] = world.robot.timing.servo_step
@@ -112,12 +112,12 @@ class Bare:
         return rows
 
     def restart(self) -> None:
-        """Put all robots back to where the record begins."""
+        """Reset all robots to the start of the record."""
         for data, state in zip(self.datas, self.initial, strict=True):
             mujoco.mj_setState(self.model, data, state, STATE)
 
     def run(self, first: int, last: int, step: int | None = None) -> None:
-        """Go through the recorded servo steps from `first` to `last` (not included)."""
+        """Replay the recorded servo steps from `first` to `last` (exclusive)."""
         step = self.step if step is None else step
         parts = np.linspace(0, len(self.datas), self.threads + 1).astype(int)
 
@@ -132,7 +132,7 @@ class Bare:
 
 
 class Bench:
-    """The layers, set up once, each with a method that runs it for a turn and returns (physics steps, seconds)."""
+    """Layers that are set up once; a method for each runs a turn and returns (physics steps, seconds)."""
 
     def __init__(self, num_envs: int, steps: int, threads: int, policy: str = "gallop", training: str = "") -> None:
         self.num_envs, self.steps, self.threads, self.training = num_envs, steps, threads, training or policy
@@ -155,7 +155,7 @@ class Bench:
         self.copy_share = self._copy_share()
 
     def make_long(self) -> None:
-        """Set up what the longer turns need."""
+        """Set up the layers with longer turns."""
         table1 = load_ranges("table1", robot=self.env.task.robot)
         self.episode_env = self._env(self.env.task, self.env.task.randomize)
         self.drawn_env = self._env(
@@ -176,7 +176,7 @@ class Bench:
         return LocomotionEnv(drawn, self.num_envs, SimWorld, seed=1, threads=self.threads)
 
     def _time_redraws(self, env: LocomotionEnv) -> None:
-        """Add up the time that drawing and applying parameters takes."""
+        """Measure the time for sampling and applying parameters."""
         randomizer = env.component(RandomizedParams).randomizer
         draw, apply = randomizer.draw, env.world.set_params
 
@@ -195,7 +195,7 @@ class Bench:
         return env.gait.action(self.policy.feedback(observation))
 
     def _targets(self) -> np.ndarray:
-        """Motor angles (steps, N, M) that the policy commands; compiled code is warm afterwards."""
+        """Return the motor angles (steps, N, M) that the policy commands; this also warms up compiled code."""
         observation, _ = self.servo_env.reset()
         world_start = self.servo_env.world.get_state()
         targets = []
@@ -206,14 +206,14 @@ class Bench:
         return np.array(targets)
 
     def _replay_error(self) -> float:
-        """How far [m, rad] the replay ends from the world's motion."""
+        """Return the final deviation of the replay from the world's motion [m, rad]."""
         bare = self.bare_layer
         bare.restart()
         bare.run(0, self.steps * self.servo_steps)
         return float(np.abs(np.array([data.qpos for data in bare.datas]) - bare.final).max())
 
     def _copy_share(self) -> float:
-        """Share of the bare loop's time that putting in forces takes: at most, as it is read from cold memory."""
+        """Return the fraction of the bare loop's time for applying forces; an upper bound, since memory is cold."""
         seconds = []
         for step in (None, 0):
             self.bare_layer.restart()
@@ -223,7 +223,7 @@ class Bench:
         return seconds[1] / seconds[0]
 
     def _place(self, layer: str, restart: Any) -> int:
-        """Number of the control step that comes next; after the last one, the first again."""
+        """Return the number of the next control step; the first follows the last."""
         k = self.at[layer]
         if k == 0:
             restart()
@@ -231,14 +231,14 @@ class Bench:
         return k
 
     def bare(self) -> tuple[int, float]:
-        """MuJoCo alone, one control step."""
+        """Bare MuJoCo, one control step."""
         first = self._place("bare", self.bare_layer.restart) * self.servo_steps
         start = self.clock()
         self.bare_layer.run(first, first + self.servo_steps)
         return self.num_envs * self.servo_steps, self.clock() - start
 
     def world(self) -> tuple[int, float]:
-        """Servo, motor, delays, contact and sensors added."""
+        """MuJoCo with servo, motor, delays, contact and sensors."""
         world = self.servo_env.world
         target = self.targets[self._place("world", lambda: world.set_state(self.world_start))]
         start = self.clock()
@@ -246,7 +246,7 @@ class Bench:
         return self.num_envs * self.servo_steps, self.clock() - start
 
     def environment(self) -> tuple[int, float]:
-        """Observation, policy, reward and episodes added."""
+        """The world with observation, policy, reward and episodes."""
 
         def restart() -> None:
             self.env.set_state(self.env_start[0])
@@ -258,14 +258,14 @@ class Bench:
         return self.num_envs * self.servo_steps, self.clock() - start
 
     def whole_bare(self) -> tuple[int, float]:
-        """MuJoCo alone, all control steps."""
+        """Bare MuJoCo, all control steps."""
         self.bare_layer.restart()
         start = self.clock()
         self.bare_layer.run(0, self.steps * self.servo_steps)
         return self.num_envs * self.steps * self.servo_steps, self.clock() - start
 
     def rollout(self) -> tuple[int, float]:
-        """What the `mujoco` package brings along to step many robots."""
+        """The function of the `mujoco` package for stepping many robots."""
         bare = self.bare_layer
         models = [bare.model] * self.num_envs
         start = self.clock()
@@ -282,22 +282,22 @@ class Bench:
         return self.num_envs * self.steps * self.servo_steps, self.clock() - start
 
     def episode(self) -> tuple[int, float]:
-        """As `environment`, in a turn as long as those of `drawn` and `unequal`, a reset of all robots included."""
+        """As `environment`, in a turn as long as `drawn` and `unequal`, including a reset of all robots."""
         return self._run(self.episode_env)
 
     def drawn(self) -> tuple[int, float]:
-        """Physical parameters drawn at every reset added."""
+        """The environment with physical parameters randomized at every reset."""
         self.redraw_seconds = 0.0
         steps, seconds = self._run(self.drawn_env)
         self.redraw_share = self.redraw_seconds / seconds
         return steps, seconds
 
     def unequal(self) -> tuple[int, float]:
-        """Control steps that differ between robots added."""
+        """The environment with control steps that differ between robots."""
         return self._run(self.unequal_env)
 
     def _run(self, env: LocomotionEnv) -> tuple[int, float]:
-        """As many control steps as an episode has on average here, the reset included."""
+        """Run the average number of control steps of an episode, including a reset."""
         start = self.clock()
         observation, _ = env.reset()
         physics, world = 0, cast(Any, env.world)
@@ -309,11 +309,11 @@ class Bench:
         return physics, self.clock() - start
 
     def train(self) -> tuple[int, float]:
-        """Learning added: one update."""
+        """One PPO update."""
         return self._train(self.learner)
 
     def train_drawn(self) -> tuple[int, float]:
-        """Learning with all of table I drawn."""
+        """One PPO update with all of table I randomized."""
         return self._train(self.drawn_learner)
 
     def _train(self, learner: PpoLearner) -> tuple[int, float]:
@@ -326,7 +326,7 @@ class Bench:
 
 
 def authors_rate() -> float | None:
-    """Physics steps per second of the authors' environment, one process a core; None where it does not run."""
+    """Return the physics steps per second of the authors' environment, one process per core; None if it fails."""
     script = [sys.executable, str(Path(__file__).with_name("authors_environment.py"))]
     pipe = subprocess.PIPE
     processes = [
@@ -342,11 +342,11 @@ def main() -> int:
     """Run all layers and print rates and ratios."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--out", type=Path, help="CSV file for a row of each layer")
+    parser.add_argument("--out", type=Path, help="CSV file with one row per layer")
     parser.add_argument("--num-envs", type=int, default=256)
-    parser.add_argument("--steps", type=int, default=100, help="control steps of the motion, over and over")
+    parser.add_argument("--steps", type=int, default=100, help="control steps of the motion, which is repeated")
     parser.add_argument("--turns", type=int, default=400, help="short turns of bare, world and env")
-    parser.add_argument("--rounds", type=int, default=5, help="long turns of all else; 0 leaves them out")
+    parser.add_argument("--rounds", type=int, default=5, help="long turns of the other layers; 0 leaves them out")
     parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
     bench = Bench(options.num_envs, options.steps, options.threads)
@@ -393,11 +393,11 @@ def main() -> int:
     print(f"{options.num_envs} robots, {options.threads} threads, medians of {options.turns} turns (quartiles)")
     print(*lines, sep="\n")
     print(
-        f"  bare ends within {bench.replay_error:.1e} of the world's motion; putting in forces is at most "
+        f"  bare ends within {bench.replay_error:.1e} of the world's motion; applying forces takes at most "
         f"{100 * bench.copy_share:.1f} % of it"
     )
     if options.rounds:
-        print(f"  drawing and applying parameters: {100 * bench.redraw_share:.1f} % of the time of 'drawn'")
+        print(f"  sampling and applying parameters: {100 * bench.redraw_share:.1f} % of the time of 'drawn'")
         if result["authors"]:
             print(f"  authors' environment {result['authors']:,.0f} on {os.cpu_count()} cores")
         else:

@@ -1,9 +1,9 @@
-"""Wall time until a gallop, learned from scratch, reaches the paper's speed.
+"""Wall time until a gallop that is learned from scratch reaches the paper's speed.
 
-From the start of training (models built, compiled code loaded) until the deterministic policy averages 1.34 m/s over
-eight full episodes without a fall. The evaluations are inside the time; few are made, as early policies only move
-while they explore: one second of a few robots decides before eight whole episodes are run. Seconds on processors are
-given beside those on the wall, for machines that do other work too. --out writes a row for each seed.
+The time is from the start of training (models built, compiled code loaded) until the deterministic policy averages
+1.34 m/s over eight full episodes without a fall. It includes evaluations. These are few, because early policies only
+move while they explore: a short run of a few robots decides whether eight full episodes are run. Processor time is
+reported in addition to wall time, for machines with other load. --out writes one row per seed.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ TARGET = 1.34
 
 
 def early_speed(learner: PpoLearner, seconds: float = 1.5) -> float:
-    """Speed [m/s] of the deterministic policy over an episode's first moments, standing start included.
+    """Return the speed [m/s] of the deterministic policy at the beginning of an episode.
 
-    A policy that runs at all is at speed by the last third, which alone counts.
+    Only the last third counts, in which a running policy has reached its speed.
     """
     env = early_env(learner)
     observation, _ = env.reset()
@@ -47,13 +47,13 @@ def early_speed(learner: PpoLearner, seconds: float = 1.5) -> float:
 
 @cache
 def early_env(learner: PpoLearner) -> LocomotionEnv:
-    """Few robots on the learner's task."""
+    """Return an environment with few robots on the learner's task."""
     config = learner.config
     return LocomotionEnv(config.task, 4, SimWorld, config.seed, autoreset=False, threads=config.threads)
 
 
 def run(seed: int, limit: float, threads: int) -> dict[str, Any]:
-    """Train until the target is met, or for `limit` seconds; return the row of the seed."""
+    """Train until the target is reached, or for `limit` seconds; return the row of the seed."""
     start, start_cpu = time.perf_counter(), time.process_time()
     config = replace(load_train_config("gallop"), seed=seed, threads=threads, learning_threads=threads)
     learner = PpoLearner(config, SimWorld)
@@ -61,10 +61,10 @@ def run(seed: int, limit: float, threads: int) -> dict[str, Any]:
     dt = world.params.control_step[0]
     reached, evaluations, next_evaluation = None, 0, 0
     while reached is None and time.perf_counter() - start < limit:
-        figures = learner.update()
-        # An evaluation costs as much as ten updates: only ask where exploration alone already runs, then where a short
-        # one says so, and not again at once after one that failed.
-        promising = learner.steps >= next_evaluation and figures.reward_rate / dt > 0.35
+        metrics = learner.update()
+        # An evaluation takes as long as ten updates. It is made only if the exploring policy and a short run are fast
+        # enough, and not again immediately after a failed one.
+        promising = learner.steps >= next_evaluation and metrics.reward_rate / dt > 0.35
         if promising and early_speed(learner) > 0.7 * TARGET:
             evaluations, next_evaluation = evaluations + 1, learner.steps + 30_000
             evaluation = evaluate_policy(learner, SimWorld, 8)
@@ -82,11 +82,11 @@ def run(seed: int, limit: float, threads: int) -> dict[str, Any]:
 
 
 def main() -> int:
-    """Train with each seed until the target is met and print the times."""
+    """Train with each seed until the target is reached, and print the times."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--limit", type=float, default=900.0, help="give up a seed after this many seconds")
-    parser.add_argument("--threads", type=int, default=0, help="of simulation and learning; 0: one a core")
+    parser.add_argument("--threads", type=int, default=0, help="threads of simulation and learning; 0: one per core")
     parser.add_argument("--out", type=Path, help="CSV file")
     options = parser.parse_args()
     rows = []

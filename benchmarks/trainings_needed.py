@@ -1,10 +1,10 @@
-"""Number of trainings per group with which differences of the studies would be significant, if they stay as measured.
+"""Power analysis of the studies: number of trainings per group at which the measured differences would be significant.
 
     python benchmarks/trainings_needed.py        # writes results/paper/trainings_needed.csv and census.csv; seconds
 
 A difference of two groups of N trainings is tested with Welch's t test at 0.05, divided by the number of comparisons
-that its study declares (Bonferroni, a bound for Holm's correction). N is the least one with a power of 0.8, with the
-standard deviations and the difference of the trainings in results/STUDY/policies.csv. Robots of a test stay the same.
+that its study declares (Bonferroni, a bound for Holm's correction). N is the minimum for a power of 0.8, with the
+standard deviations and the difference of the trainings in results/STUDY/policies.csv. A test's robots stay the same.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ DIFFERENCES = {
     "space-plain": ("robustness", "sensitivity_mean", "large_plain", "small_plain"),
     "space-randomized": ("robustness", "sensitivity_mean", "large_randomized", "small_randomized"),
 }
-"""Study, metric, group and the group it is compared with, by name."""
+"""Study, metric, group and its reference group, by name."""
 MOVED = 1.0
-"""Return of a training that learned to move [m]; the task's reward is the way in 6 s less the cost of energy."""
+"""Minimum return of a training that learned to move [m]; the task's return is the path in 6 s minus the energy cost."""
 
 
 def welch_power(difference: float, variances: tuple[float, float], trainings: int, level: float) -> float:
-    """Return the power of Welch's two-sided t test with this many trainings per group."""
+    """Return the power of Welch's two-sided t test with a number of trainings per group."""
     parts = [variance / trainings for variance in variances]
     freedom = sum(parts) ** 2 / sum(part**2 / (trainings - 1) for part in parts)
     limit = stats.t.ppf(1 - level / 2, freedom)
@@ -45,7 +45,7 @@ def welch_power(difference: float, variances: tuple[float, float], trainings: in
 
 
 def difference_row(name: str) -> dict[str, object]:
-    """Return the row of a difference: what was measured, and how many trainings per group it would take."""
+    """Return the row of a difference: measured values, and the required number of trainings per group."""
     study, metric, group, against = DIFFERENCES[name]
     policies, table = (pd.read_csv(RESULTS / study / f"{file}.csv") for file in ("policies", "differences"))
     own, other = (policies[policies.group == one][metric] for one in (group, against))
@@ -59,7 +59,7 @@ def difference_row(name: str) -> dict[str, object]:
 
 
 def census_row(name: str, trials: pd.DataFrame) -> dict[str, object]:
-    """Return how many trials gallop, with the exact interval of the share and the trials that a majority would take."""
+    """Return how many trials gallop, with the exact interval, and the number of trials that would show a majority."""
     gallops = int((trials.gait == "gallop").sum())
     low, high = stats.binomtest(gallops, len(trials)).proportion_ci(0.95)
     share = gallops / len(trials)
@@ -69,13 +69,13 @@ def census_row(name: str, trials: pd.DataFrame) -> dict[str, object]:
 
 
 def majority(share: float) -> int:
-    """Return the trials that would show that more than half gallop, with the power above, if the share stays."""
+    """Return the number of trials that would show a proportion above one half, with the same power."""
     for trials in range(5, 10_000):
-        # The smallest number of gallops that a share of one half gives with a probability below the level.
-        least = int(stats.binom.isf(LEVEL / 2, trials, 0.5)) + 1
-        if stats.binom.sf(least - 1, trials, share) >= POWER:
+        # The minimum number of gallops whose probability is below the level at a proportion of one half.
+        minimum = int(stats.binom.isf(LEVEL / 2, trials, 0.5)) + 1
+        if stats.binom.sf(minimum - 1, trials, share) >= POWER:
             return trials
-    raise ValueError(f"a share of {share:.3f} is too close to one half")
+    raise ValueError(f"a proportion of {share:.3f} is too close to one half")
 
 
 def main() -> None:

@@ -1,11 +1,11 @@
-"""Error of following commands over minutes of training: with randomization and without, with a reference gait and not.
+"""Tracking errors over minutes of training, with and without randomization, with and without a reference gait.
 
     python benchmarks/velocity_curves.py results/steer/learning.csv
 
-Reads what `velocity_tracking.py --every MINUTES --out FILE` wrote, draws the curves beside it (.png), and prints after
-how many minutes of training all three errors were first under some limits (-: never). Of two groups of runs it gives
-the factor between their geometric means too, with its Welch interval of 95 % over seeds. Times are those of the points
-that were measured, so they are known to the minutes between two points.
+Reads the output of `velocity_tracking.py --every MINUTES --out FILE`, draws the curves next to it (.png), and prints
+the minutes of training after which all three errors were first below given limits (-: never). For two groups of runs it
+also prints the ratio of their geometric means, with Welch's 95 % interval over seeds. The resolution of the times is
+the interval between two measured points.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from surefoot.robot.commands import COMMANDS
 from surefoot.tables import print_table
 
 LIMITS = {"": ((0.10, 0.08, 0.20), (0.05, 0.04, 0.08)), "_stride": ((0.04, 0.025, 0.02),)}
-"""Errors forward and sideways [m/s] and of the yaw rate [rad/s] to get under, at once and over strides."""
+"""Limits of the forward and sideways [m/s] and yaw rate errors [rad/s], instantaneous and stride-averaged."""
 WINDOW = 60.0
 """Training time at the end of a run over which errors are averaged [s]."""
 _NAMES = ("forward (m/s)", "sideways (m/s)", "yaw rate (rad/s)")
@@ -36,7 +36,7 @@ Run = dict[str, Array]
 
 
 def read_runs(path: Path) -> dict[str, list[Run]]:
-    """Return the runs by what they have in common but the seed."""
+    """Return the runs grouped by all settings except the seed."""
     table = pd.read_csv(path, keep_default_na=False, na_values=[""])
     runs: dict[str, list[Run]] = {}
     for (robot, start, ranges, threads), group in table.groupby(["robot", "start", "randomize", "threads"], sort=False):
@@ -49,24 +49,24 @@ def read_runs(path: Path) -> dict[str, list[Run]]:
 
 
 def errors(run: Run, ending: str) -> Array:
-    """Return errors (points, 3) at once (ending "") or over strides ("_stride")."""
+    """Return instantaneous (ending "") or stride-averaged ("_stride") errors (points, 3)."""
     return np.stack([run[command + ending] for command in COMMANDS], axis=1)
 
 
 def first_under(run: Run, ending: str, limit: tuple[float, ...]) -> float:
-    """Return the minutes at the first point with all errors under their limits; NaN if there is none."""
+    """Return the minutes at the first point with all errors below their limits; NaN if there is none."""
     under = (errors(run, ending) < limit).all(axis=1)
     return float(run["seconds"][under.argmax()] / 60) if under.any() else math.nan
 
 
 def factor(times: list[float], base: list[float]) -> Interval:
-    """Return how many times longer, from the logarithms of times."""
+    """Return the ratio of geometric mean times, with its interval."""
     interval = welch_interval(np.log(times), np.log(base))
     return Interval(math.exp(interval.mean), math.exp(interval.low), math.exp(interval.high))
 
 
 def draw(runs: dict[str, list[Run]], path: Path) -> None:
-    """Draw every run's errors at once over minutes."""
+    """Plot the instantaneous errors of every run over minutes."""
     with new_figure(path, (10.0, 3.4), 1, len(_NAMES), sharex=True) as (_, axes):
         for k, (ax, name) in enumerate(zip(axes, _NAMES, strict=True)):
             for color, (start, group) in zip(COLORS, runs.items(), strict=False):

@@ -1,18 +1,17 @@
-r"""How well a robot follows commands after some minutes of training on this computer, from nothing.
+r"""Tracking errors after some minutes of training from scratch on this computer.
 
-The time runs from the start of training (models built, compiled code loaded) to its end; with one thread it is the
-process's time on a processor, which other programs change little, with more it is the wall's. Then the deterministic
-policy is run on fresh commands, one for each robot, which is drawn as in training and is not pushed: 8 s from
-standing, of which the first second does not count.
-Errors are root mean squares of speed forward and sideways [m/s] and yaw rate [rad/s], of every control step and
-averaged over a stride. Episodes that fell count up to the fall.
+The time is from the start of training (models built, compiled code loaded) to its end; with one thread it is processor
+time, which other programs hardly change, with several threads it is wall time. Then the deterministic policy runs on
+new commands, one per robot, with robots randomized as in training and without pushes: 8 s from standing, without the
+first second. Errors are root mean squares of forward and sideways speed [m/s] and yaw rate [rad/s], of every control
+step and averaged over a stride. Episodes with a fall count up to the fall.
 
     python benchmarks/velocity_tracking.py --seeds 0 1 2 --minutes 3 --every 0.5 --out results/steer/learning.csv
     python benchmarks/velocity_tracking.py --seeds 0 1 2 --minutes 8 --every 0.5 --randomize table1 \
         --out results/steer/learning.csv
 
-write errors on the way, a row a point, for `velocity_curves.py`. Runs that are whole in the file stay as they are; one
-that was cut off is trained again.
+write errors during training, one row per point, for `velocity_curves.py`. Complete runs in the file are kept; an
+interrupted one is trained again.
 """
 
 from __future__ import annotations
@@ -42,13 +41,13 @@ from surefoot.task.reference_config import NoReferenceConfig
 from surefoot.world.sim_world import SimWorld
 
 FRESH = 7_000_003
-"""Added to the seed of fresh commands."""
+"""Offset of the seed of new commands."""
 SECONDS = 8.0
-"""How long a command holds [s]."""
+"""Duration of a command [s]."""
 
 
 class TrainedPolicy:
-    """The deterministic policy of a learner, as a policy file's runtime gives it."""
+    """Deterministic policy of a learner, with the interface of a policy file's runtime."""
 
     def __init__(self, learner: PpoLearner) -> None:
         self.learner = learner
@@ -59,7 +58,7 @@ class TrainedPolicy:
 
 
 def fresh_commands(task: TaskConfig, control_step: float, within: Sequence[float]) -> TaskConfig:
-    """Return the task with one command an episode, on robots as in training, without pushes; see `measure`."""
+    """Return the task with one command per episode, on robots as in training, without pushes; see `measure`."""
     commands = replace(task.commands, hold=(SECONDS, SECONDS), ramp=0)
     if within:
         low, high, sideways, turn = within
@@ -77,13 +76,13 @@ def from_scratch(task: TaskConfig) -> TaskConfig:
 
 
 def measure(learner: PpoLearner, episodes: int, within: Sequence[float] = ()) -> dict[str, Any]:
-    """Return errors and falls of the present policy on fresh commands.
+    """Return errors and falls of the current policy on new commands.
 
     Args:
-        learner: has the policy.
-        episodes: commands.
-        within: least and greatest speed forward [m/s], greatest sideways [m/s] and yaw rate [rad/s]; the task's ranges,
-            if empty.
+        learner: the learner.
+        episodes: number of commands.
+        within: minimum and maximum forward speed [m/s], maximum sideways speed [m/s] and yaw rate [rad/s]; defaults to
+            the task's ranges.
     """
     config, env = learner.config, learner.env
     task = fresh_commands(config.task, float(env.nominal.control_step[0]), within)
@@ -98,7 +97,7 @@ def measure(learner: PpoLearner, episodes: int, within: Sequence[float] = ()) ->
 def train(
     config: TrainConfig, minutes: float, every: float, episodes: int, within: Sequence[float]
 ) -> Iterator[dict[str, Any]]:
-    """Train for some minutes, and yield the errors every `every` minutes; measuring them is outside the time."""
+    """Train for some minutes, and yield the errors every `every` minutes; measuring is not included in the time."""
     clock = time.process_time if config.threads == 1 else time.perf_counter
     spent, due, start = 0.0, every, clock()
     learner = PpoLearner(config, SimWorld)
@@ -118,23 +117,27 @@ def main() -> int:
     """Train with each seed and print the errors."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--robot", default="go2", help="name or folder of the robot")
-    parser.add_argument("--minutes", type=float, default=4.0, help="of training")
+    parser.add_argument("--minutes", type=float, default=4.0, help="minutes of training")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
-    parser.add_argument("--episodes", type=int, default=128, help="fresh commands at each point")
+    parser.add_argument("--episodes", type=int, default=128, help="new commands at each point")
     parser.add_argument("--scratch", action="store_true", help="without a reference gait")
-    parser.add_argument("--randomize", default="none", help="table of ranges from which robots are drawn in training")
-    parser.add_argument("--every", type=float, help="minutes between errors, outside the time; once, if not given")
-    parser.add_argument("--threads", type=int, default=0, help="of simulation and learning; 0: one a core")
+    parser.add_argument("--randomize", default="none", help="table of ranges for randomization in training")
+    parser.add_argument(
+        "--every",
+        type=float,
+        help="minutes between measurements of errors, which are not counted; defaults to the end only",
+    )
+    parser.add_argument("--threads", type=int, default=0, help="threads of simulation and learning; 0: one per core")
     parser.add_argument(
         "--within",
         type=float,
         nargs=4,
         default=(),
         metavar=("LOW", "HIGH", "SIDEWAYS", "TURN"),
-        help="measure on commands of a smaller range too: speed forward from LOW to HIGH [m/s], SIDEWAYS [m/s] and "
+        help="also measure on a smaller range of commands: forward speed from LOW to HIGH [m/s], SIDEWAYS [m/s] and "
         "TURN [rad/s] to both sides; those that all Go2 policies of results/steer follow: -0.5 1 0.4 0.8",
     )
-    parser.add_argument("--out", type=Path, help="CSV file for the errors, with those of earlier runs")
+    parser.add_argument("--out", type=Path, help="CSV file for the errors, which keeps earlier runs")
     options = parser.parse_args()
     every = options.every or options.minutes
     base = load_train_config("steer", options.robot)

@@ -1,9 +1,9 @@
-"""Find why a gait runs differently in another simulator: change one physical property at a time, in one world.
+"""Find causes of a gait's difference between two simulators: change one physical property at a time in one world.
 
     python examples/causes_of_the_gap.py gallop --world bullet
 
-Prints speed, power, steps and the share of time that feet are on the ground, for the unchanged world and for each
-change. A change that moves the speed by as much as the worlds differ may be a cause.
+Prints speed, power, balanced runs and the fraction of time that feet are on the ground, for the unchanged world and for
+each change. A change that shifts the speed by as much as the worlds differ may be a cause.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ import numpy as np
 import tyro
 
 from surefoot.api.policies import find_policy, load_policy
-from surefoot.evaluation.conditions import away_task
+from surefoot.evaluation.conditions import data_sheet_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.interface import SimulationFactory, WorldConfig
 from surefoot.world.registry import find_world
 
-FOOT_RADIUS = 0.02  # m, in place of .0085
+FOOT_RADIUS = 0.02  # m, instead of 0.0085
 
 
 @dataclass(frozen=True)
 class Change:
-    """One property that differs from the robot's description."""
+    """Change of one property of the robot description."""
 
     name: str
     params: dict[str, float | tuple[float, ...]] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Change:
 
 CHANGES = (
     Change("as described"),
-    # In the data sheet too: robots settle with it before an episode.
+    # Also in the data sheet's contact, because robots settle with it before an episode.
     Change("foot stiffness x 10", params={"contact_stiffness": 30_000.0}, contact={"stiffness": 30_000.0}),
     Change("foot stiffness / 2", params={"contact_stiffness": 1500.0}, contact={"stiffness": 1500.0}),
     Change("foot damping x 3", contact={"damping": 300.0}),
@@ -67,19 +67,19 @@ class Command:
     """Run a policy in one world with one physical property changed at a time."""
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY [POLICY ...]")]
-    """Policy files, or names of policies that ship."""
+    """Policy files, or names of released policies."""
     world: str = "bullet"
     """mujoco or bullet."""
     episodes: int = 3
-    """Episodes of each."""
+    """Episodes per change."""
     seed: int = 1
-    """The one seed."""
+    """Seed of all random numbers."""
     json: bool = False
     """Print one JSON object."""
 
 
 def thick_feet(robot: RobotDescription, folder: Path) -> RobotDescription:
-    """Return the robot with rounder feet, whose lowest point along the leg stays the same."""
+    """Return the robot with larger foot radii; the lowest point along the leg stays the same."""
     shutil.copytree(robot.folder, folder)
     radius, end = robot.five_bar.foot_radius, robot.five_bar.foot
     sheet, urdf = folder / "robot.toml", folder / robot.urdf.path.name
@@ -90,7 +90,7 @@ def thick_feet(robot: RobotDescription, folder: Path) -> RobotDescription:
 
 
 def changed(make: SimulationFactory, change: Change, other: RobotDescription | None) -> SimulationFactory:
-    """Return the world with another contact or another robot."""
+    """Return a factory of the world with another contact or another robot."""
 
     def world(robot: RobotDescription, num_envs: int, params: PhysicalParams, seed: int, config: WorldConfig) -> Any:
         robot = other or replace(robot, contact=replace(robot.contact, **cast(Any, change.contact)))
@@ -100,9 +100,9 @@ def changed(make: SimulationFactory, change: Change, other: RobotDescription | N
 
 
 def measure(command: Command, name: str) -> Iterator[dict[str, Any]]:
-    """Yield one row of figures for each change."""
+    """Yield one row of metrics per change."""
     policy, robot, task = load_policy(find_policy(name), None)
-    base, make = away_task(task), find_world(command.world)
+    base, make = data_sheet_task(task), find_world(command.world)
     with tempfile.TemporaryDirectory() as scratch:
         for change in CHANGES:
             other = thick_feet(robot, Path(scratch) / "thick") if change.thick_feet else None
@@ -122,7 +122,7 @@ def measure(command: Command, name: str) -> Iterator[dict[str, Any]]:
 
 
 def run(command: Command) -> None:
-    """Measure and print."""
+    """Measure all changes and print the table."""
     if not command.json:
         print(f"{'policy':<14} {'change, in ' + command.world:<26} speed m/s   power W   balanced   feet on ground")
     rows = []

@@ -1,16 +1,17 @@
-"""Compare the same robot in MuJoCo and in Bullet: draw one figure for each question, and write a table.
+"""Compare the same robot in MuJoCo and in Bullet: draw one figure per question, and write a table.
 
 python examples/compare_worlds.py --table results/compare_worlds.csv
 
 masses    do mass and inertia of the whole robot agree?
 standing  how high does it stand after it has settled?
-drop      how does it land from .3 m, and how far is each world from a simulation with a step of .1 ms?
+drop      how does it land from 0.3 m, and how much does each world differ from a simulation with a step of 0.1 ms?
 sines     do legs on a rack follow sines equally?
 steps     do they respond equally to steps?
 squat     does the robot squat equally on its own feet?
 trot      how far does an open-loop trot go, and what is the effect of spinning friction?
 
-Columns MuJoCo and Bullet are each world's number, `apart` is their difference, or that of the motors' angles over time.
+Columns mujoco and bullet are each world's value; `apart` is their difference, or the difference of motor angles over
+time.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
 ENGINES = {"MuJoCo": "mujoco", "Bullet": "bullet"}
-COLOURS = {"MuJoCo": "#1f6f8b", "Bullet": "#d1495b", "asked": "#555555"}
+COLOURS = {"MuJoCo": "#1f6f8b", "Bullet": "#d1495b", "target": "#555555"}
 MotorPath = Callable[[float], np.ndarray]
 
 
@@ -45,7 +46,7 @@ def rms(values: np.ndarray) -> float:
 
 
 class Comparison:
-    """Runs both worlds, draws, and gathers the rows of the table."""
+    """Runs both worlds, draws figures, and collects the rows of the table."""
 
     def __init__(self, folder: Path) -> None:
         self.robot = RobotDescription.load("minitaur")
@@ -54,7 +55,7 @@ class Comparison:
         self.rows: list[dict[str, object]] = []
 
     def add(self, quantity: str, unit: str, both: Sequence[float] = (), apart: float | None = None) -> None:
-        """Add a row; `both` are the numbers of MuJoCo and of Bullet."""
+        """Add a row; `both` are the values in MuJoCo and in Bullet."""
         mujoco, bullet = both or (None, None)
         apart = both[1] - both[0] if apart is None else apart
         self.rows.append({"quantity": quantity, "unit": unit, "mujoco": mujoco, "bullet": bullet, "apart": apart})
@@ -66,7 +67,7 @@ class Comparison:
         return {name: SimWorld(robot, 1, params, config=config, engine=engine) for name, engine in ENGINES.items()}
 
     def run(self, world: SimWorld, path: MotorPath, seconds: float) -> dict[str, np.ndarray]:
-        """Time, base position, roll and pitch, motor angles and depth of the feet, every millisecond."""
+        """Return time, base position, motor angles and penetration of the feet, every millisecond."""
         rows = []
         for k in range(round(seconds / 0.001)):
             world.step(path(0.001 * k))
@@ -129,9 +130,9 @@ class Comparison:
         self.save(figure)
 
     def drop(self) -> None:
-        """Compare the landing with the data sheet's spring and damper; a step of .1 ms shows each world's own law."""
+        """Compare the landing with the data sheet's spring and damper; a step of 0.1 ms shows each world's own law."""
         fine = replace(self.robot, timing=replace(self.robot.timing, servo_step=1e-4))
-        figure, axes = self.figure("drop", "A drop from .3 m; dashed: the same with a step of .1 ms", 2)
+        figure, axes = self.figure("drop", "A drop from 0.3 m; dashed: the same with a step of 0.1 ms", 2)
         depths, errors = [], []
         for name in ENGINES:
             runs = []
@@ -146,9 +147,9 @@ class Comparison:
             depths.append([1e3 * run["depth"][:, :2].max(axis=0) for run in runs])
             errors.append(1e3 * rms(runs[0]["base"][:, 2] - runs[1]["base"][:, 2]))
         for leg, feet in enumerate(("front", "back")):
-            for k, step in enumerate(("", " with a step of .1 ms")):
+            for k, step in enumerate(("", " with a step of 0.1 ms")):
                 self.add(f"{feet} feet in a drop{step}", "mm", [both[k][leg] for both in depths])
-        self.add("base in a drop against a step of .1 ms (RMS)", "mm", errors)
+        self.add("base in a drop against a step of 0.1 ms (RMS)", "mm", errors)
         axes[0].set_ylabel("base [mm]")
         axes[1].set_ylabel("front foot's depth [mm]")
         axes[1].set_ylim(-5, None)
@@ -160,7 +161,7 @@ class Comparison:
         for leg, axis in enumerate(axes):
             motor = self.robot.leg_motor_index[leg, 0]
             time = runs["MuJoCo"]["time"]
-            axis.plot(time, [path(t)[motor] for t in time], color=COLOURS["asked"], lw=0.8, ls=":", label="asked for")
+            axis.plot(time, [path(t)[motor] for t in time], color=COLOURS["target"], lw=0.8, ls=":", label="target")
             for key, run in runs.items():
                 axis.plot(time, run["angles"][:, motor], color=COLOURS[key], label=key)
             axis.set_ylabel(f"{self.robot.leg_names[leg]}\nmotor 1 [rad]", fontsize=7)
@@ -181,7 +182,7 @@ class Comparison:
             size = np.array([0.1, 0.2, 0.3, 0.4]) * ((time >= 0.2) - 2.0 * (time >= 0.7))
             return self.robot.pose_angles(size, 2.0 - 0.3 * size)
 
-        self.compare_angles("steps", "Legs on a rack answer steps", path, rack=True)
+        self.compare_angles("steps", "Legs on a rack respond to steps", path, rack=True)
 
     def squat(self) -> None:
         def path(time: float) -> np.ndarray:
@@ -253,7 +254,7 @@ def composite(parts: Parts) -> tuple[float, np.ndarray, np.ndarray]:
 
 
 def main() -> int:
-    """Answer all questions."""
+    """Run all comparisons."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=Path("out/worlds"), help="folder for the figures")
     parser.add_argument("--table", type=Path, default=Path("out/worlds/compare_worlds.csv"), help="table to write")

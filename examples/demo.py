@@ -1,9 +1,9 @@
-"""Train a gallop, test the robustness of two trots, deploy a trot on an emulated robot: some four minutes, two cores.
+"""Train a gallop, test the robustness of two trots, deploy a trot on an emulated robot (four minutes on two cores).
 
 1. `surefoot train gallop`: a short training, with its evaluation, figures and video in runs/.
 2. `surefoot evaluate trot-robust --randomize table1`: the robust trot on randomized robots.
-3. `surefoot evaluate sensitivity trot trot-robust`: which parameters break a trot trained without and one with
-   randomization.
+3. `surefoot evaluate sensitivity trot trot-robust`: which parameters make a trot fail that was trained without
+   randomization, and one that was trained with it.
 4. `surefoot emulate`, `doctor`, `deploy`, `gap`: a trot on an emulated robot, in another physics engine and in real
    time, compared with its simulation.
 
@@ -20,7 +20,7 @@ from surefoot.cli.main import main
 OUT = "out/demo"
 GALLOP = ("--seed", "1", "--steps", "1000000", "--evaluate-every", "100000")
 COMMANDS = (
-    # One learning thread: the same gallop on any number of cores.
+    # With one learning thread, the gallop is the same on any number of cores.
     ["train", "gallop", "--name", "demo", "--learning-threads", "1", *GALLOP, *sys.argv[1:]],
     ["evaluate", "trot-robust", "--randomize", "table1", "--episodes", "20", "--out", f"{OUT}/trot-robust"],
     ["evaluate", "sensitivity", "trot", "trot-robust", "--episodes", "4", "--out", f"{OUT}/sensitivity"],

@@ -1,11 +1,11 @@
 """Deploy a trained gait on an emulated robot: emulator and host in two processes, connected by a serial line.
 
-1. `surefoot emulate` is the robot: a microcontroller and a Minitaur, in another engine than that of the training.
+1. `surefoot emulate` is the robot: a microcontroller and a Minitaur, in another engine than the training's.
 2. `surefoot doctor` checks link, contract and computer before a motor moves.
 3. `surefoot deploy` makes the robot stand up, run the gait for a whole episode, and sit down; three times.
-4. `surefoot gap` measures simulation and deployed runs with the same functions and draws both.
+4. `surefoot gap` evaluates simulated and deployed runs with the same functions, and draws both.
 
-    python examples/deploy_on_emulator.py                    # trot-robust, in Bullet where there is PyBullet
+    python examples/deploy_on_emulator.py                    # trot-robust, in Bullet if PyBullet is installed
     python examples/deploy_on_emulator.py gallop --episodes 1
 """
 
@@ -22,8 +22,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 REFUSED, LATE = 2, 3
-"""Exit codes: refused, as a policy for another robot, or a robot whose states come too late to arm it; and ended by a
-safety rule. Both may come of a computer that is too busy."""
+"""Exit codes: rejected (a policy for another robot, or a robot whose states arrive too late to arm it), and ended by a
+safety rule. A busy computer may cause both."""
 
 
 @contextmanager
@@ -55,7 +55,7 @@ def deploy(policy: str, world: str, runs: int, out: Path, lockstep: bool = False
     capture, traces = out / "motion_capture.csv", out / "deployed"
     clock = ["--lockstep"] if lockstep else []
     with emulator("--world", world, "--out", capture, *clock) as port:
-        # An emulator cannot be damaged: go on after a failed check, such as that of a busy computer.
+        # An emulator cannot be damaged: continue after a failed check, which a busy computer may cause.
         if surefoot("doctor", policy, "--port", port, *clock) == REFUSED:
             raise SystemExit(REFUSED)
         code = surefoot(
@@ -66,7 +66,7 @@ def deploy(policy: str, world: str, runs: int, out: Path, lockstep: bool = False
 
 
 def other_world() -> str:
-    """Return an engine other than that of the training, if it is installed."""
+    """Return another engine than the training's, if it is installed."""
     return "bullet" if importlib.util.find_spec("pybullet") is not None else "mujoco"
 
 

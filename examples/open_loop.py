@@ -2,7 +2,7 @@
 
     python examples/open_loop.py trot --out results/open_loop.csv
 
-The paper's robot sat down at once with its reference gait alone; see results/open-loop/README.md.
+The paper's robot sat down immediately with only its reference gait; see results/open-loop/README.md.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Annotated
 
 import tyro
 
-from surefoot.evaluation.conditions import away_task
+from surefoot.evaluation.conditions import data_sheet_task
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import RobotDescription
@@ -28,13 +28,13 @@ class Command:
     """Run a task's reference without feedback."""
 
     task: Annotated[str, tyro.conf.Positional] = "trot"
-    """A preset, or a task's YAML file."""
+    """Name of a preset, or a task's YAML file."""
     worlds: tuple[str, ...] = tuple(WORLDS)
     """Worlds to run in."""
     episodes: int = 20
-    """Episodes in each; in a world with robots of its own one on each of them."""
+    """Episodes per world; in an ensemble of robots, one per robot."""
     seed: int = 1
-    """The one seed."""
+    """Seed of all random numbers."""
     out: Path = Path("open_loop.csv")
     """Table to write."""
 
@@ -47,7 +47,7 @@ def run(command: Command) -> None:
     for world in command.worlds:
         policy = OpenLoop(len(task.gait(robot).action_names))
         episodes = len(WORLDS[world].seeds or range(command.episodes))
-        runs = measure_runs(run_episodes(policy, away_task(task), episodes, find_world(world), command.seed))
+        runs = measure_runs(run_episodes(policy, data_sheet_task(task), episodes, find_world(world), command.seed))
         speeds = {f"speed_{how}": getattr(runs.speed, how)() for how in ("mean", "min", "max")}
         ends = {"upright": runs.balanced.sum(), "falls": runs.fell.sum(), "episodes": len(runs)}
         rows.append({"world": world, **speeds, **ends})

@@ -1,8 +1,8 @@
-"""A plug-in: a reward term and an observation of one's own, which `examples/plugin.yaml` trains with.
+"""Plug-in with a reward term and an observation, which the task `examples/plugin.yaml` uses.
 
     surefoot train examples/plugin.yaml --plugin examples/plugin.py
 
-It is an ordinary Python file that registers functions of NumPy arrays, each for N robots at once.
+It is an ordinary Python file that registers functions on NumPy arrays, each for a batch of N robots.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from surefoot.task.plugins import observation, reward_term
 from surefoot.task.state import EnvState, RobotState
 
 CLEARANCE = 0.15
-"""Height of a swinging foot over the lowest one, in lengths of the straight leg."""
+"""Target height of a swinging foot above the lowest foot, in leg lengths."""
 
 
 @reward_term(
@@ -21,7 +21,7 @@ CLEARANCE = 0.15
     source="Ji et al. 2022, Concurrent Training of a Control Policy and a State Estimator",
 )
 def foot_clearance(state: EnvState) -> Array:
-    """Return how far feet that move forward are from the height at which they should swing (N,)."""
+    """Return the mean squared height error of feet that move forward, weighted by their speed (N,)."""
     robot, scales = state.gait.robot, state.scales
     feet = [
         robot.leg_geometry.foot_position(truth.motor_angle[:, robot.leg_motor_index])

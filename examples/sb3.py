@@ -1,4 +1,4 @@
-"""Train with PPO of Stable-Baselines3, and make a policy file of it. Needs: pip install stable-baselines3."""
+"""Train with PPO from Stable-Baselines3, and export a policy file. Needs: pip install stable-baselines3."""
 
 import sys
 
@@ -11,7 +11,7 @@ from surefoot.learn.sb3 import SB3VecEnv
 
 
 def main(steps: int = 500_000, path: str = "sb3-trot.onnx", robots: int = 64, episodes: int = 20) -> None:
-    """Train a trot of Go2 for as many control steps of all robots together; write the policy, and measure it."""
+    """Train a trot of Go2 for a number of control steps in total over all robots; write and evaluate the policy."""
     batch = make_vector("trot", num_envs=robots, robot="go2")
     env = VecNormalize(SB3VecEnv(batch))  # its statistics become part of the file
     model = PPO("MlpPolicy", env, n_steps=64, batch_size=1024, policy_kwargs={"log_std_init": -1.6}, device="cpu")

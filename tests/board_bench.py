@@ -1,4 +1,4 @@
-"""A microcontroller whose sensors and messages a test sets: its program in Python, or in C."""
+"""Test bench for a microcontroller, whose sensors and messages are set by tests; its program is in Python or C."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from compiled_firmware import compiled, needs_gcc, needs_qemu
 
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.limits import Limits, make_handshake
-from surefoot.deploy.board.signals import MotorOrder, Sensors, Vitals
+from surefoot.deploy.board.signals import MotorCommand, Sensors, Vitals
 from surefoot.deploy.messages import Handshake, Message, Mode, Packet, Reason
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
@@ -27,35 +27,35 @@ PROGRAMS = ("messages", "serial line", IN_C)
 
 
 class NoHosts:
-    """The hosts' end of a line that a test reads by itself."""
+    """Host end of a line that is read by the test."""
 
     unread = 0
 
 
 class CompiledFirmware(FirmwareProcess):
-    """The program in C, with those attributes of the one in Python that the tests use."""
+    """Program in C, with the attributes of the Python program that tests use."""
 
     def __init__(self, robot: Any, handshake: Handshake, limits: Limits, *target: str) -> None:
         super().__init__(compiled(robot, limits, handshake, *target), robot.name, robot.num_motors)
         self.handshake = handshake
 
-    def tick(self, now: int, vitals: Vitals) -> MotorOrder:  # type: ignore[override]
+    def tick(self, now: int, vitals: Vitals) -> MotorCommand:  # type: ignore[override]
         zeros, attitude = np.zeros(8), np.array([0.0, vitals.tilt, 0.0])
         temperature = np.array([25.0, vitals.temperature, *[25.0] * 6])
         seen = Sensors(vitals.motor_angle, zeros, zeros, attitude, zeros[:3], 0.0, vitals.voltage, temperature)
         super().tick(now, seen, vitals.hazard, vitals.sit)
-        return MotorOrder(self.mode, self.order) if self.armed else MotorOrder(Mode.DISARMED, zeros)
+        return MotorCommand(self.mode, self.motor_values) if self.armed else MotorCommand(Mode.DISARMED, zeros)
 
     @property
-    def watch(self) -> CompiledFirmware:
+    def link_monitor(self) -> CompiledFirmware:
         return self
 
 
 class Bench:
-    """A microcontroller whose sensors the test sets, with a servo step every millisecond.
+    """Microcontroller whose sensors are set by the test, with a servo step every millisecond.
 
-    Messages of a host reach the program as they are (`where` is "messages"), as bytes over a "serial line", or as
-    bytes the program in "C", on this computer or on an STM32F405 in "QEMU".
+    A host's messages reach the Python program directly (`where` is "messages") or as bytes over a "serial line", or
+    the program in "C" as bytes, on this computer or on an STM32F405 in "QEMU".
     """
 
     def __init__(self, robot: Any, where: str, **changes: Any) -> None:
@@ -71,13 +71,13 @@ class Bench:
         self.host = Decoder(Codec(8))
         self.now = self.number = 0
         self.vitals = Vitals(np.arange(8) / 10, 0.0, 16.0, 25.0)
-        self.order: MotorOrder | None = None
+        self.motor_command: MotorCommand | None = None
         self.sent: list[Packet] = []
-        """What the robot has sent, oldest first."""
+        """Messages sent by the robot, oldest first."""
         self.sensors = Sensors(*(np.zeros(8),) * 3, np.zeros(3), np.zeros(3), 5.0, 16.0, np.full(8, 25.0))
 
     def take(self) -> list[Packet]:
-        """Return what the robot has sent since, as the host receives it."""
+        """Return the messages that the host has received since the last call."""
         packets = self.firmware.take()
         if self.line is not None:
             for packet in packets:
@@ -87,17 +87,17 @@ class Bench:
         return packets
 
     def run(self, milliseconds: int) -> list[Packet]:
-        """Let time pass; return what the robot sends meanwhile."""
+        """Advance time; return the robot's messages."""
         before = len(self.sent)
         for _ in range(milliseconds):
-            self.order = self.firmware.tick(self.now, self.vitals)
+            self.motor_command = self.firmware.tick(self.now, self.vitals)
             self.now += MS
             self.firmware.report(self.now, lambda: self.sensors)
             self.take()
         return self.sent[before:]
 
     def send(self, message: Message, sent: float | None = None, number: int | None = None) -> list[Message]:
-        """Send a message, by default now and with the next number; return the answers."""
+        """Send a message and return the answers; time and number default to the present and the next number."""
         sent = self.now / 1e6 + 100.0 if sent is None else sent
         if number is None:
             self.number = number = self.number + 1
@@ -108,9 +108,9 @@ class Bench:
         return [packet.message for packet in self.take()]
 
     def put(self, data: bytes) -> None:
-        """Put bytes on the line to the robot."""
+        """Send bytes to the robot."""
         if self.line is None:
-            self.firmware.receive(self.now, data) if self.in_c else self.firmware.watch.note_damage()
+            self.firmware.receive(self.now, data) if self.in_c else self.firmware.link_monitor.note_damage()
             return
         self.line.inbound.send(self.now, data)
         while self.line.next_arrival <= self.now:

@@ -1,6 +1,6 @@
-"""The rules of the board in one table: each is a row of steps that every program of a board must pass.
+"""Rules of the board in one table: each is a sequence of steps that every program of a board must pass.
 
-A step lets something happen on a `Bench`, or compares what the robot does with what the rule says.
+A step triggers something on a `Bench`, or compares the robot's behaviour with the rule.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from surefoot.deploy.messages import (
 Step = Callable[[Bench], None]
 TARGET = np.full(8, 1.5)
 HELD = np.arange(8) / 10
-"""Angles [rad] of the motors at first."""
+"""Initial angles of the motors [rad]."""
 NAN, INF = np.nan, np.inf
 
 
-# What happens.
+# Actions.
 
 
 def send(
@@ -52,10 +52,10 @@ def send(
 
     Args:
         message: what is sent.
-        answers: all of them; a class if the content may be any.
-        number: its number; the last one and those before are 0, -1, ... Defaults to the next one.
-        sent: when [s] it is sent on the operator's clock. Defaults to now.
-        late: by how much [s] sooner it is sent.
+        answers: all expected answers; a class if its content does not matter.
+        number: sequence number, relative to the last one (0, -1, ...). Defaults to the next one.
+        sent: sending time on the operator's clock [s]. Defaults to now.
+        late: time by which it is sent earlier [s].
     """
 
     def step(bench: Bench) -> None:
@@ -77,7 +77,7 @@ def send(
 
 
 def send_unasked(message: Message) -> Step:
-    """Send a message whatever the answer is."""
+    """Send a message, and ignore the answer."""
     return lambda bench: bench.send(message) and None
 
 
@@ -92,7 +92,7 @@ def put(data: bytes) -> Step:
 
 
 def feel(**changes: Any) -> Step:
-    """Change what the sensors read."""
+    """Change the readings of the sensors."""
 
     def step(bench: Bench) -> None:
         bench.vitals = replace(bench.vitals, **changes)
@@ -106,7 +106,7 @@ def run(
     faults: dict[int, Reason] | None = None,
     ages: Sequence[float] | None = None,
 ) -> Step:
-    """Let time pass; compare when [ms] states and faults come, and the ages [s] of the last command in the states."""
+    """Advance time; compare the times of states and faults [ms], and the ages of the last command in the states [s]."""
 
     def step(bench: Bench) -> None:
         start = bench.now
@@ -123,7 +123,7 @@ def run(
     return step
 
 
-# What the robot does.
+# Expectations.
 
 
 def in_mode(mode: Mode, reason: Reason = Reason.NONE, owner: int | None = None) -> Step:
@@ -134,14 +134,14 @@ def in_mode(mode: Mode, reason: Reason = Reason.NONE, owner: int | None = None) 
     return step
 
 
-def order(mode: Mode, values: np.ndarray | None = None) -> Step:
-    """Compare the order to the motors."""
+def motor_command(mode: Mode, values: np.ndarray | None = None) -> Step:
+    """Compare the command sent to the motors."""
 
     def step(bench: Bench) -> None:
-        assert bench.order is not None
-        assert bench.order.mode == mode
+        assert bench.motor_command is not None
+        assert bench.motor_command.mode == mode
         if values is not None:
-            np.testing.assert_allclose(bench.order.values, values, rtol=1e-7)
+            np.testing.assert_allclose(bench.motor_command.values, values, rtol=1e-7)
 
     return step
 
@@ -157,11 +157,11 @@ def state(**fields: Any) -> Step:
 
 
 def counted(**counts: int) -> Step:
-    """Compare how many commands with old numbers, stale commands and faults sent were counted."""
+    """Compare the counts of commands with old numbers, stale commands and sent faults."""
 
     def step(bench: Bench) -> None:
         faults = sum(isinstance(packet.message, Fault) for packet in bench.sent)
-        seen = {"old_numbers": bench.firmware.watch.old_numbers, "stale": bench.firmware.stale, "faults": faults}
+        seen = {"old_numbers": bench.firmware.link_monitor.old_numbers, "stale": bench.firmware.stale, "faults": faults}
         assert {name: seen[name] for name in counts} == counts
 
     return step
@@ -181,7 +181,7 @@ def said(text: str) -> Step:
 
 @dataclass(frozen=True)
 class Rule:
-    """Steps, and limits of the board that are not those of the robot."""
+    """Steps, and limits of the board that differ from the robot's."""
 
     steps: tuple[Step, ...]
     limits: dict[str, float] = field(default_factory=dict)
@@ -193,17 +193,17 @@ OLD = Position(ME, 0 * TARGET)
 CONNECTED = (send(Hello(ME, 0.010), Handshake), run(1))
 ARMED = (*CONNECTED, arm(), run(1), in_mode(Mode.POSITION))
 CLEAN = (PING, run(50)) * 11
-"""550 ms of clean link."""
+"""550 ms without errors on the link."""
 DAMPED = (run(60), in_mode(Mode.FAULT, Reason.TIMEOUT))
 
 
 def command(times: int, every: int = 6) -> tuple[Step, ...]:
-    """Commands in good order."""
+    """Send commands at regular intervals."""
     return (GOOD, run(every)) * times
 
 
 def delayed(seconds: float) -> tuple[Step, ...]:
-    """Send a ping that is quick, and a command that is late."""
+    """Send a ping without delay, and a delayed command."""
     return PING, send(Position(ME, TARGET), late=seconds)
 
 
@@ -212,7 +212,7 @@ def one_angle(angle: float) -> np.ndarray:
 
 
 def damps_itself(milliseconds: int, reason: Reason, **readings: Any) -> tuple[Step, ...]:
-    """Steps of a robot with bad readings: it does not arm as long as they are so, however clean the link is."""
+    """Steps of a robot with bad readings: it does not arm while they last, even with a perfect link."""
     good = {"tilt": 0.0, "voltage": 16.0, "temperature": 25.0}
     return (
         *(*ARMED, feel(**readings)),
@@ -242,15 +242,22 @@ RULES = {
     ),
     "armed motors hold their angles until a command": Rule(
         (
-            *(*CONNECTED, order(Mode.DISARMED), arm(), feel(motor_angle=1 + HELD), run(1), order(Mode.POSITION)),
-            *(feel(motor_angle=0 * HELD), run(3), order(Mode.POSITION, (1 + HELD).astype(np.float32))),
-            *(GOOD, run(1), order(Mode.POSITION, TARGET)),
+            *(
+                *CONNECTED,
+                motor_command(Mode.DISARMED),
+                arm(),
+                feel(motor_angle=1 + HELD),
+                run(1),
+                motor_command(Mode.POSITION),
+            ),
+            *(feel(motor_angle=0 * HELD), run(3), motor_command(Mode.POSITION, (1 + HELD).astype(np.float32))),
+            *(GOOD, run(1), motor_command(Mode.POSITION, TARGET)),
         )
     ),
     "armed motors have no duty until a command": Rule(
         (
-            *(*CONNECTED, arm(mode=Mode.PWM), run(1), order(Mode.PWM, 0 * TARGET)),
-            *(send(Pwm(ME, TARGET - 2)), run(1), order(Mode.PWM, TARGET - 2)),
+            *(*CONNECTED, arm(mode=Mode.PWM), run(1), motor_command(Mode.PWM, 0 * TARGET)),
+            *(send(Pwm(ME, TARGET - 2)), run(1), motor_command(Mode.PWM, TARGET - 2)),
         )
     ),
     "states follow each command and keep its period in silence": Rule(
@@ -258,11 +265,11 @@ RULES = {
     ),
     "arming again changes the times only": Rule(
         (
-            *(*ARMED, GOOD, run(2), arm(period=0.010, after=0.010), run(1), order(Mode.POSITION, TARGET)),
+            *(*ARMED, GOOD, run(2), arm(period=0.010, after=0.010), run(1), motor_command(Mode.POSITION, TARGET)),
             *(run(12, (9,)), arm(Reason.MODE, mode=Mode.PWM), in_mode(Mode.POSITION)),
         )
     ),
-    "arming in another mode or with periods beyond the limits is refused": Rule(
+    "arming in another mode or with periods beyond the limits is rejected": Rule(
         (
             *CONNECTED,
             *(arm(Reason.COMMAND, period=p, after=a) for p, a in ((0.001, 0.001), (0.051, 0.01), (0.006, 0.007))),
@@ -270,24 +277,24 @@ RULES = {
             in_mode(Mode.DISARMED),
         )
     ),
-    "a robot without duties does not arm for them": Rule(
+    "a robot without PWM mode cannot be armed for it": Rule(
         (*CONNECTED, arm(Reason.MODE, mode=Mode.PWM), arm(), in_mode(Mode.POSITION)), {"duty": 0.0}
     ),
-    "disarm and bye damp in good order": Rule(
+    "disarm and bye damp the motors normally": Rule(
         (
-            *(*ARMED, send(Disarm(ME)), run(1), in_mode(Mode.DISARMED), order(Mode.DISARMED)),
+            *(*ARMED, send(Disarm(ME)), run(1), in_mode(Mode.DISARMED), motor_command(Mode.DISARMED)),
             *(arm(), send(Bye(ME)), in_mode(Mode.DISARMED, owner=0)),
         )
     ),
     "silence damps after 50 ms": Rule(
         (
             *(*ARMED, GOOD, run(50, faults={}), in_mode(Mode.POSITION)),
-            *(run(1, (1,), {0: Reason.TIMEOUT}), in_mode(Mode.FAULT, Reason.TIMEOUT), order(Mode.DISARMED)),
+            *(run(1, (1,), {0: Reason.TIMEOUT}), in_mode(Mode.FAULT, Reason.TIMEOUT), motor_command(Mode.DISARMED)),
             state(mode=Mode.FAULT, reason=Reason.TIMEOUT, session=ME),
         )
     ),
     "pings do not reset the watchdog": Rule((*ARMED, *(PING, run(1)) * 60, in_mode(Mode.FAULT, Reason.TIMEOUT))),
-    # A refusal a second ago counts no more among the ten that are answered; silence is not clean.
+    # A rejection a second ago counts no more among the ten that are answered; silence is not clean.
     "a fault stays until armed after 500 ms of clean link": Rule(
         (
             *(*ARMED, *DAMPED, arm(Reason.NOT_CLEAN), run(1000)),
@@ -309,14 +316,14 @@ RULES = {
         )
     ),
     "the operator can damp at once": Rule(
-        (*ARMED, send(Damp(ME), Reason.HOST), run(1), order(Mode.DISARMED), in_mode(Mode.FAULT, Reason.HOST))
+        (*ARMED, send(Damp(ME), Reason.HOST), run(1), motor_command(Mode.DISARMED), in_mode(Mode.FAULT, Reason.HOST))
     ),
-    "the first fault is kept": Rule((*ARMED, *DAMPED, send(Damp(ME)), in_mode(Mode.FAULT, Reason.TIMEOUT))),
+    "the first fault is stored": Rule((*ARMED, *DAMPED, send(Damp(ME)), in_mode(Mode.FAULT, Reason.TIMEOUT))),
     **{
         f"an angle of {angle} damps at once": Rule(
             (
                 *(*ARMED, send(Position(ME, one_angle(angle)), Reason.COMMAND), run(1)),
-                *(order(Mode.DISARMED), in_mode(Mode.FAULT, Reason.COMMAND)),
+                *(motor_command(Mode.DISARMED), in_mode(Mode.FAULT, Reason.COMMAND)),
             )
         )
         for angle in (NAN, INF, -INF, 4.8, -1.5)
@@ -338,7 +345,7 @@ RULES = {
         (*CONNECTED, arm(), send(Position(ME, HELD + 0.06), Reason.COMMAND), in_mode(Mode.FAULT, Reason.COMMAND)),
         {"first_torque": 0.05},
     ),
-    "three commands with old numbers in a row damp": Rule(
+    "three consecutive commands with old numbers damp": Rule(
         (
             *(*ARMED, *command(2)),
             *(send(OLD, number=0), run(1), in_mode(Mode.POSITION)),
@@ -349,20 +356,20 @@ RULES = {
     "two old numbers between good ones are dropped and counted": Rule(
         (
             *(*ARMED, *(*command(1), send(OLD, number=1), send(OLD, number=1)) * 10),
-            *(run(10), in_mode(Mode.POSITION), order(Mode.POSITION, TARGET), state(dropped=20)),
+            *(run(10), in_mode(Mode.POSITION), motor_command(Mode.POSITION, TARGET), state(dropped=20)),
         )
     ),
     "commands older than three periods are dropped": Rule(
         (
             *(*ARMED, *command(1)),
-            *(send(Position(ME, TARGET + 0.125), late=0.018), run(6), order(Mode.POSITION, TARGET + 0.125)),
+            *(send(Position(ME, TARGET + 0.125), late=0.018), run(6), motor_command(Mode.POSITION, TARGET + 0.125)),
             *(send(Position(ME, TARGET), late=0.0181), run(6), in_mode(Mode.POSITION)) * 2,
             *(send(Position(ME, TARGET), Reason.STALE, late=0.0181), in_mode(Mode.FAULT, Reason.STALE)),
             counted(stale=3),
         )
     ),
     # A first frame that came 30 ms sooner than all that follow makes them old; after 11 s it is forgotten.
-    "the quickest frame of ten seconds is the measure of age": Rule(
+    "ages are relative to the fastest frame of ten seconds": Rule(
         (
             *(*ARMED, *delayed(0.0), run(6), *(*delayed(0.030), run(6)) * 2, counted(stale=2)),
             *(*delayed(0.0), *(*delayed(0.015), run(20)) * 600),
@@ -370,11 +377,11 @@ RULES = {
         )
     ),
     "a tilt damps": Rule(damps_itself(1, Reason.TILT, tilt=1.01)),
-    "a tilt that is no number damps": Rule(damps_itself(1, Reason.TILT, tilt=NAN)),
+    "a tilt that is NaN damps": Rule(damps_itself(1, Reason.TILT, tilt=NAN)),
     "a hot motor damps": Rule(damps_itself(1, Reason.TEMPERATURE, temperature=90.1)),
-    "a temperature that is no number damps": Rule(damps_itself(1, Reason.TEMPERATURE, temperature=NAN)),
+    "a temperature that is NaN damps": Rule(damps_itself(1, Reason.TEMPERATURE, temperature=NAN)),
     "a battery low for 500 ms damps": Rule(damps_itself(501, Reason.BATTERY, voltage=12.4)),
-    "a voltage that is no number damps": Rule(damps_itself(501, Reason.BATTERY, voltage=NAN)),
+    "a voltage that is NaN damps": Rule(damps_itself(501, Reason.BATTERY, voltage=NAN)),
     "a short sag of the voltage does not damp": Rule(
         (
             *ARMED,
@@ -382,7 +389,7 @@ RULES = {
             in_mode(Mode.POSITION),
         )
     ),
-    "what else a body sees damps and keeps from arming": Rule(
+    "further hazards damp and prevent arming": Rule(
         (
             *(*ARMED, feel(hazard=(Reason.MOTOR_OFF, "a motor is off"))),
             *(run(1, faults={0: Reason.MOTOR_OFF}), said("a motor is off"), in_mode(Mode.FAULT, Reason.MOTOR_OFF)),
@@ -393,10 +400,10 @@ RULES = {
         (
             *(*ARMED, feel(sit=(Reason.REMOTE, "a stick was moved"))),
             *(run(20, faults={0: Reason.REMOTE}), said("a stick was moved"), state(reason=Reason.REMOTE)),
-            *(in_mode(Mode.POSITION, Reason.REMOTE), *command(2), order(Mode.POSITION, TARGET)),
+            *(in_mode(Mode.POSITION, Reason.REMOTE), *command(2), motor_command(Mode.POSITION, TARGET)),
         )
     ),
-    "a second operator is refused and the first keeps the robot": Rule(
+    "a second operator is rejected and the first keeps the robot": Rule(
         (
             *ARMED,
             *(
@@ -406,7 +413,7 @@ RULES = {
                 *command(1),
             )
             * 5,
-            *(in_mode(Mode.POSITION, owner=ME), order(Mode.POSITION, TARGET)),
+            *(in_mode(Mode.POSITION, owner=ME), motor_command(Mode.POSITION, TARGET)),
         )
     ),
     "another operator may connect after a second of silence": Rule(
@@ -420,16 +427,16 @@ RULES = {
     "a hello of the same session is answered again": Rule(
         (*ARMED, send(Hello(ME, 0.01), Handshake), in_mode(Mode.POSITION))
     ),
-    "commands for another mode are refused": Rule(
+    "commands for another mode are rejected": Rule(
         (
             *(*CONNECTED, send(Position(ME, TARGET), Reason.MODE), arm(), send(Pwm(ME, TARGET / 2), Reason.MODE)),
             *(in_mode(Mode.POSITION), run(10), state(dropped=2)),
         )
     ),
-    "refusals are sent ten times a second": Rule(
+    "rejections are sent at most ten times per second": Rule(
         (*(send_unasked(Position(OTHER, TARGET)), run(5)) * 400, counted(faults=20))
     ),
-    "a second operator is answered ten times a second": Rule(
+    "a second operator is answered at most ten times per second": Rule(
         (
             *CONNECTED,
             *(send(Hello(OTHER, 0.01), Reason.BUSY, number=900),) * 10,

@@ -1,6 +1,6 @@
-"""Chromium without a window: the system's, or one that Playwright has fetched. Without it, its tests are skipped.
+"""Headless Chromium, from the system or downloaded by Playwright. Without it, browser tests are skipped.
 
-`python tests/chromium.py` has Playwright fetch one, if there is none.
+`python tests/chromium.py` downloads Chromium with Playwright if there is none.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ if TYPE_CHECKING:
 in_browser = pytest.mark.browser
 INSTALL = (sys.executable, "-m", "playwright", "install", "chromium")
 _FETCH_TIMEOUT = 300
-"""Longest time [s] of a download."""
+"""Timeout of the download [s]."""
 
 
 @functools.cache
 def find_chromium() -> str | None:
-    """Return the path of a Chromium that runs; None if there is none."""
+    """Return the path of a working Chromium, or None."""
     for name in ("chromium", "chromium-browser", "google-chrome"):
         if path := shutil.which(name):
             return path
@@ -38,14 +38,14 @@ def find_chromium() -> str | None:
 
         with sync_playwright() as playwright:
             path = playwright.chromium.executable_path
-        # One that lacks libraries of the system does not even print its version.
+        # A Chromium that lacks system libraries does not even print its version.
         subprocess.run([path, "--version"], check=True, capture_output=True, timeout=30)
         return path
     return None
 
 
 def chromium_missing() -> str:
-    """Return how to get a Chromium; nothing, if there is one."""
+    """Return instructions to install Chromium; empty if it is installed."""
     if find_chromium() is not None:
         return ""
     python = os.path.relpath(INSTALL[0])
@@ -55,11 +55,11 @@ def chromium_missing() -> str:
 
 @contextmanager
 def running_browser(gives_way: Path | None = None) -> Iterator[Browser]:
-    """Start Chromium, and end it.
+    """Context manager that runs Chromium.
 
     Args:
-        gives_way: folder for a script that starts it with low priority, for tests with a control loop beside it:
-            Chromium draws in software.
+        gives_way: folder for a script that starts it with low priority, for tests that also run a control loop, since
+            Chromium renders in software.
     """
     from playwright.sync_api import sync_playwright
 
@@ -77,10 +77,10 @@ def running_browser(gives_way: Path | None = None) -> Iterator[Browser]:
 
 
 def new_page(browser: Browser, width: int, height: int, view: bool = True) -> Page:
-    """Return a small tab, which is drawn in software here, with patience for a busy computer.
+    """Return a small tab with long timeouts for a busy computer.
 
     Args:
-        view: with the 3D view; drawn by all processors, it takes the time that a control loop or training beside needs.
+        view: show the 3D view, which is rendered in software and would slow down a control loop or training.
     """
     page = browser.new_page(viewport={"width": width, "height": height})
     page.set_default_timeout(120_000)
@@ -90,7 +90,7 @@ def new_page(browser: Browser, width: int, height: int, view: bool = True) -> Pa
 
 
 def errors_of(page: Page) -> list[str]:
-    """Return a list that collects the errors of a tab from now on."""
+    """Return a list to which a tab's future errors are appended."""
     errors: list[str] = []
     page.on("pageerror", lambda error: errors.append(str(error)))
     page.on("console", lambda message: errors.append(message.text) if message.type == "error" else None)
@@ -98,7 +98,7 @@ def errors_of(page: Page) -> list[str]:
 
 
 def hold_stick(page: Page, forward: float, left: float) -> None:
-    """Press the mouse on the page's joystick and move it by shares of its width; `page.mouse.up()` lets go."""
+    """Press the mouse on the joystick, and move it by fractions of its width; `page.mouse.up()` releases it."""
     page.locator("#stick").scroll_into_view_if_needed()
     box = page.locator("#stick").bounding_box()
     assert box is not None
@@ -109,7 +109,7 @@ def hold_stick(page: Page, forward: float, left: float) -> None:
 
 
 def main() -> None:
-    """Fetch a Chromium, if there is none and its server can be reached."""
+    """Download Chromium if there is none and the server can be reached."""
     if find_chromium() is not None:
         return
     print("surefoot: fetching Chromium for the tests of pages, once", flush=True)

@@ -1,4 +1,4 @@
-"""The firmware in C, compiled for tests: with the compiler's watch over memory and undefined behaviour."""
+"""Firmware in C, compiled for tests with sanitizers for memory errors and undefined behaviour."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ needs_gcc = pytest.mark.skipif(
 )
 needs_qemu = pytest.mark.qemu
 QEMU = os.environ.get("SUREFOOT_FIRMWARE") == "qemu"
-"""Whether all tests of the firmware take the one of the STM32F405, in QEMU, instead of this computer's."""
+"""Whether all tests run the firmware of the STM32F405 in QEMU, instead of this computer's."""
 SANITIZE = ("-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 _built: dict[tuple[str, ...], Path] = {}
 
 
 def qemu_missing() -> str:
-    """Return which programs are missing that build and run the firmware of the STM32F405; nothing, if none is."""
+    """Return the missing programs for building and running the STM32F405's firmware; empty if none is missing."""
     missing = [name for name in ("make", "arm-none-eabi-gcc", "qemu-system-arm") if not shutil.which(name)]
     return f"no {', '.join(missing)} here: the firmware of the STM32F405 is not tested" if missing else ""
 
@@ -49,7 +49,7 @@ def compiled(
     target: str = "board-qemu" if QEMU else "board",
     *variables: str,
 ) -> Path:
-    """Return a target of a robot's firmware, by default its program; each is compiled once."""
+    """Return a compiled target of a robot's firmware, by default its program; each is compiled only once."""
     key = robot_header(robot, limits, handshake), target, *variables
     if key not in _built:
         folder = Path(tempfile.mkdtemp())

@@ -1,4 +1,4 @@
-"""Settings and fixtures that every test may rely on."""
+"""Settings and fixtures for all tests."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 os.environ.setdefault("MPLBACKEND", "Agg")
 
-# The same examples on every run and machine; a slow machine is no failure (pytest-timeout watches for hangs).
+# The same examples on every run and machine; slowness is not a failure (pytest-timeout detects hangs).
 settings.register_profile("surefoot", deadline=None, derandomize=True)
 settings.load_profile("surefoot")
 
@@ -38,28 +38,29 @@ LONG = (
     *("cli/test_study_cli", "cli/test_study_search_cli", "test_newcomer", "cli/test_drive_cli", "identify/test_fits"),
     *("test_examples", "cli/test_train_page_cli", "deploy/test_fault_table", "cli/test_identify_cli"),
     *("cli/test_deploy_cli", "world/test_agreement", "adopt/test_arithmetic", "cli/test_evaluate_cli"),
-    *("cli/test_gap_cli", "adopt/test_networks", "cli/test_robot_firmware_cli", "cli/test_refusals"),
+    *("cli/test_gap_cli", "adopt/test_networks", "cli/test_robot_firmware_cli", "cli/test_rejected_commands"),
     *("cli/test_printed_commands", "cli/test_doctor_cli", "studies/test_study_report", "learn/test_training_loop"),
     *("identify/test_experiment_runner", "world/test_engines", "identify/motion/test_torque_fit"),
     *("world/test_process_world", "cli/test_params_option", "cli/test_train_cli", "adopt/test_rl_sar", "test_robots"),
 )
-"""Files that take longest, of all parts."""
+"""Test files with the longest durations."""
 REALTIME = "surefoot/realtime"
-"""Where pytest's cache has the names of tests in real time."""
+"""Key of the names of real-time tests in pytest's cache."""
 NEEDS = {"browser": chromium_missing, "qemu": qemu_missing}
-"""What a test with a marker needs besides Python's packages: a function that says what of it is missing here, or ""."""
+"""Requirements of tests by marker: a function that returns what is missing on this computer, or an empty text."""
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers() -> int:
-    """Return more workers than processors: tests often wait for processes that they have started."""
+    """Return a number of workers larger than the number of processors, since tests often wait for their processes."""
     return min(3 * (os.cpu_count() or 1) // 2, 5)
 
 
 class RealTimeLast(LoadFileScheduling):
-    """Each file's tests on one worker, for the fixtures that they share; those in real time, of all files, on one.
+    """Scheduler that runs each file's tests on one worker, for shared fixtures, and all real-time tests on one worker.
 
-    A worker keeps the fixtures of a file until its next test: robots and browsers, which would disturb others' tests.
+    A worker keeps the fixtures of a file, such as robots and browsers, until its next test; they would disturb
+    real-time tests.
     """
 
     @functools.cached_property
@@ -72,14 +73,14 @@ class RealTimeLast(LoadFileScheduling):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> LoadFileScheduling | None:
-    """Keep tests in real time apart, which wait until all other tests have ended."""
+    """Use the scheduler that runs real-time tests after all other tests."""
     return RealTimeLast(config, log) if hasattr(config, "cache") and config.getvalue("dist") == "loadfile" else None
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin with the files that take longest, so that none is left alone at the end; tests in real time come last.
+    """Order tests: files with the longest durations first, for an even load, and real-time tests last.
 
-    pytest-xdist (`--dist loadfile`) takes units of work in this order.
+    pytest-xdist (`--dist loadfile`) distributes work in this order.
     """
     first = {Path(__file__).parent / f"{name}.py": rank for rank, name in enumerate(LONG)}
     assert all(path.exists() for path in first), "LONG names files that have moved"
@@ -90,7 +91,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """Hide from the garbage collector what tests import: each deployment searches all the rest before it begins."""
+    """Exclude imported objects from garbage collection, since each deployment collects garbage before it starts."""
     gc.disable()
     try:
         return (yield)
@@ -101,7 +102,7 @@ def pytest_collection() -> Generator[None, object, object]:
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Leave out a test whose marker names what is not on this computer."""
+    """Skip a test whose requirements are missing on this computer."""
     for marker, missing in NEEDS.items():
         if item.get_closest_marker(marker) and (what := missing()):
             pytest.skip(what)
@@ -109,11 +110,11 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Give a test marked `realtime` the processors for itself where pytest-xdist runs tests side by side."""
+    """With pytest-xdist, run a test marked `realtime` while no other test is running."""
     cache = getattr(item.config, "cache", None)
     if not hasattr(item.config, "workerinput") or cache is None:
         return (yield)
-    # Other tests go on meanwhile: one in real time begins when there is no other at all.
+    # Other tests hold a shared lock; a real-time test waits for the exclusive lock.
     with (cache.mkdir("turns") / "running").open("w") as running:
         fcntl.flock(running, fcntl.LOCK_EX if item.get_closest_marker("realtime") else fcntl.LOCK_SH)
         return (yield)
@@ -121,10 +122,10 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 @pytest.hookimpl(specname="pytest_runtest_protocol")
 def pytest_try_again_in_real_time(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """Run a test marked `realtime` again, up to three times, if it failed on a busy computer; then skip it.
+    """Repeat a test marked `realtime` up to three times if it failed on a busy computer; then skip it.
 
-    The computer is busy if a bare loop is late too: one above all priorities beside the test, which the test itself
-    can't delay, or an ordinary one after it. A failure while neither was late is a failure.
+    The computer is busy if a bare loop is also late: one with the highest priority during the test, which the test
+    can't delay, or one with normal priority after the test. If neither was late, the failure counts.
     """
     if item.get_closest_marker("realtime") is None:
         return None
@@ -151,7 +152,7 @@ def pytest_try_again_in_real_time(item: pytest.Item, nextitem: pytest.Item | Non
 
 @pytest.fixture(autouse=True)
 def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Draw figures and videos with few pixels, which takes less time."""
+    """Reduce the resolution of figures and videos to save time."""
     monkeypatch.setattr(style, "DPI", 40)
     with contextlib.suppress(ImportError):  # of the extra `report`
         from surefoot.report.drawing.video import render_video
@@ -161,7 +162,7 @@ def _coarse(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture
 def rng() -> np.random.Generator:
-    """Return a generator that starts at the same state in every test."""
+    """Return a random generator with the same initial state in every test."""
     return np.random.default_rng(20180426)
 
 
@@ -173,14 +174,14 @@ def repository() -> Path:
 
 @pytest.fixture(scope="session")
 def robot() -> RobotDescription:
-    """Return the robot that ships with surefoot."""
+    """Return the released robot minitaur."""
     return RobotDescription.load("minitaur")
 
 
 @pytest.fixture(scope="session")
 def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of a run of `trot` that was trained a little. It is shared: copy it to change it."""
-    from trained import trained_run
+    """Return the folder of a very short training of `trot`. It is shared: copy it before changing it."""
+    from trained_policy import trained_run
 
     cache = getattr(request.config, "cache", None)  # none with `-p no:cacheprovider`
     return trained_run(tmp_path_factory.mktemp("trained") if cache is None else cache.mkdir("trained"))
@@ -188,7 +189,7 @@ def trained(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 @pytest.fixture
 def emulate() -> Iterator[Callable[..., Emulator]]:
-    """Start emulated robots, with the words of `surefoot emulate`, that end with the test."""
+    """Return a function that starts emulated robots with arguments of `surefoot emulate`; they end with the test."""
     pytest.importorskip("mujoco")
     with emulators() as start:
         yield start
@@ -196,9 +197,9 @@ def emulate() -> Iterator[Callable[..., Emulator]]:
 
 @pytest.fixture(scope="session")
 def make_run() -> Callable[..., EpisodeTrace]:
-    """Give what makes a run that came so far [m] with so much energy [J], of control steps of `step` [s].
+    """Return a function that makes a run with a given distance [m] and energy [J], and control steps of `step` [s].
 
-    A distance of NaN is not known; `arrays` take the place of the trace's own, all others are zero.
+    A distance of NaN means that it was not measured; `arrays` replace columns of the trace, which are zero by default.
     """
 
     def make(
@@ -241,9 +242,10 @@ def make_run() -> Callable[..., EpisodeTrace]:
 
 @pytest.fixture
 def gap_comparison() -> Callable[..., Comparison]:
-    """Make three groups with runs at home and away, so that the right answers are known.
+    """Return three groups with runs in the home and target world, with known results.
 
-    Gaps of group a's policies are 1 m, 1.1 m, ...; b's policies have none and go three metres; c's fall at home.
+    The gaps of group a's policies are 1 m, 1.1 m, ...; b's policies have no gap and cover three metres; c's policies
+    fall in the home world.
     """
     pytest.importorskip("gymnasium")
     import pandas as pd
@@ -256,7 +258,7 @@ def gap_comparison() -> Callable[..., Comparison]:
     log = [{"steps": int(steps), "return_mean": steps * 1e-6, **means} for steps in at]
 
     def runs(world: str, level: float, spread: float, balanced: tuple[bool, ...]) -> pd.DataFrame:
-        """Three runs whose distance is their return and half a metre; those that fall do so after 250 steps."""
+        """Return three runs with a distance of return plus 0.5 m; falls happen after 250 steps."""
         returns, stood = level + spread * np.array([-1.0, 0.0, 1.0]), np.array(balanced)
         steps = np.where(stood, 1000.0, 250.0)
         speed = (returns + 0.5) / (0.006 * steps)

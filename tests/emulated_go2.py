@@ -1,4 +1,4 @@
-"""An emulated Go2 in memory: its messages without DDS, as fast as the physics."""
+"""Emulated Go2 in memory: messages without DDS, as fast as the physics."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ FOLDED, STANDING = (np.tile(leg, 4) for leg in ([0.0, 1.36, -2.65], [0.0, 0.67, 
 
 
 class Wire:
-    """A link in memory: what the robot sends, and commands for it."""
+    """Link in memory, with the robot's messages and commands for it."""
 
     next_departure = float("inf")
 
     def __init__(self) -> None:
-        self.dead = False
+        self.unplugged = False
         self.inbound: list[Record] = []
         self.published: list[Record] = []
-        """Commands of the robot's own."""
+        """Commands from the robot's own controller."""
         self.sent: list[tuple[int, bytes]] = []
-        """Times [us] and bytes of states."""
+        """Times [µs] and bytes of states."""
 
     def publish_command(self, command: Record) -> None:
         self.published.append(command.copy())
 
     def send(self, at: int, data: bytes) -> None:
-        if not self.dead:
+        if not self.unplugged:
             self.sent.append((at, data))
 
     @property
     def states(self) -> list[Record]:
-        """States that are undamaged."""
+        """Undamaged states."""
         return list(self._undamaged(self.sent))
 
     @property
     def state(self) -> Record:
-        """The last one of these."""
+        """Last undamaged state."""
         return next(self._undamaged(reversed(self.sent)))
 
     @staticmethod
@@ -60,7 +60,7 @@ class Wire:
 
 
 class Robot:
-    """An emulated Go2 with ideal sensors, and a host that commands all its motors."""
+    """Emulated Go2 with ideal sensors, and a host that commands all motors."""
 
     def __init__(self, *faults: str, rack: bool = False, engine: str = "mujoco", noise: bool = False) -> None:
         self.wire, self.controller = Wire(), OwnController()
@@ -70,17 +70,17 @@ class Robot:
         self.board = Go2Board(plant, self.wire, 1.0, self.controller, faults=names)
 
     def run(self, seconds: float) -> Record:
-        """Run for a time; return the last state."""
+        """Run for a time [s]; return the last state."""
         self.board.run_to(self.board.now + round(seconds * 1e6))
         return self.wire.state
 
     @property
     def height(self) -> float:
-        """Of the base link [m]."""
+        """Height of the base link [m]."""
         return float(self.board.plant.capture().position[2])
 
     def command(self, **fields: Any) -> None:
-        """Send fields of all twelve motors; what is not named is 0."""
+        """Send the given fields to all twelve motors; other fields are 0."""
         command = low_level.new_command()
         motors = command["motor_cmd"][:12]
         for name, value in {"q": 0, "dq": 0, **fields}.items():
@@ -88,7 +88,7 @@ class Robot:
         self.wire.inbound.append(command)
 
     def move(self, target: np.ndarray, seconds: float) -> None:
-        """Go to a pose linearly, as the vendor's example does, at 500 Hz."""
+        """Move to a pose linearly at 500 Hz, as in the vendor's example."""
         first = self.wire.state["motor_state"]["q"][:12].astype(float)
         for step in range(round(seconds / 0.002)):
             self.command(q=first + (target - first) * step * 0.002 / seconds, kp=60, kd=5)

@@ -1,4 +1,4 @@
-"""Writes a Go2's messages as recorders do: a ROS 2 bag, and what `ros2 topic echo --csv` prints."""
+"""Writer of a Go2's messages in recorders' formats: ROS 2 bags, and the output of `ros2 topic echo --csv`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _PARTS["bms_cmd"] = "BmsCmd"
 
 
 def type_store() -> Any:
-    """Return rosbags' types with those of the vendor's package unitree_go."""
+    """Return rosbags' type store, extended by the types of the vendor's package unitree_go."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     def define(kind: np.dtype[Any], name: str) -> None:
@@ -38,7 +38,7 @@ def type_store() -> Any:
 
 
 def write_bag(folder: Path, messages: Iterable[tuple[str, int, bytes]], mcap: bool = False) -> Path:
-    """Write messages (topic, time [ns], bytes on the wire) to a bag, and return its folder."""
+    """Write messages (topic, time [ns], serialized bytes) to a bag, and return its folder."""
     from rosbags.rosbag2 import StoragePlugin, Writer
 
     store, topics = type_store(), {}
@@ -53,7 +53,7 @@ def write_bag(folder: Path, messages: Iterable[tuple[str, int, bytes]], mcap: bo
 
 
 def csv_line(data: bytes) -> str:
-    """Return a state's numbers in the order of its fields, as `ros2 topic echo --csv` prints them."""
+    """Return the values of a state in the order of its fields, in the format of `ros2 topic echo --csv`."""
 
     def numbers(value: Any) -> Iterable[float]:
         if hasattr(value, "__dataclass_fields__"):

@@ -1,6 +1,6 @@
-"""A Go2 for tests of the link over DDS, as a process: legs that follow commands, and readings that tests change.
+"""Fake Go2 for tests of the DDS link, in a separate process: legs follow commands, and tests change the readings.
 
-It has no physics, so that it costs little beside the processes that are tested.
+It has no physics, so that it takes little processor time from the tested processes.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ import numpy as np
 
 from surefoot.deploy.dds import bus, low_level, services, types
 from surefoot.deploy.dds.state_monitor import MOTORS
-from surefoot.deploy.pacer import BOARD_PRIORITY, undisturbed
+from surefoot.deploy.pacer import BOARD_PRIORITY, real_time_priority
 
 LYING = np.tile([0.0, 1.2, -2.6], 4)
 RATE = 30.0
-"""Rate [1/s] at which a joint nears its target."""
+"""Rate at which a joint approaches its target [1/s]."""
 CATCH_UP = 0.2
-"""Longest time [s] by which its states may be late; a robot's board is in time, and this process shares a computer."""
+"""Maximum delay of its states [s]: unlike a robot's board, this process shares the computer with others."""
 SPEED_NOISE = 0.05
-"""Noise [rad/s] of the motors' speeds."""
+"""Noise of motor speeds [rad/s]."""
 CELLS, CELL = 8, 3830
 
 
 def worker_domain(first: int) -> int:
-    """Return a domain of this worker of the tests."""
+    """Return a DDS domain for this test worker."""
     return first + int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
 
 
 @dataclass
 class Frame:
-    """A command that the robot has received, and when [s], on the monotonic clock."""
+    """Command received by the robot, with its time on the monotonic clock [s]."""
 
     time: float
     kp: float
@@ -51,20 +51,20 @@ class Frame:
 
 @dataclass
 class Settings:
-    """What tests change while the robot runs."""
+    """Settings that tests change while the robot runs."""
 
     silent: bool = False
     corrupt: bool = False
     frozen: bool = False
     restart: bool = False
     short: bool = False
-    """Send messages of another length."""
+    """Whether messages have another length."""
     not_finite: bool = False
     roll: float = 0.0
     mode: int = low_level.SERVO
-    """Of the first motor."""
+    """Value for the first motor."""
     lost_rate: int = 0
-    """Messages that the first motor loses with each state."""
+    """Number of messages that the first motor loses per state."""
     temperature: int = 40
     cell: int = CELL
     """Voltage of each cell [mV]."""
@@ -170,7 +170,7 @@ class _Body:
         state["bms_state"]["cell_vol"][:CELLS] = now.cell
         state["power_v"] = 1e-3 * CELLS * now.cell
         if now.buttons or now.stick:
-            state["wireless_remote"] = low_level.Remote(now.buttons, now.stick, 0.0, 0.0, 0.0).encode()
+            state["wireless_remote"] = low_level.RemoteControl(now.buttons, now.stick, 0.0, 0.0, 0.0).encode()
         if now.not_finite:
             motors["q"][4] = np.nan
         data = low_level.encode(state)
@@ -180,7 +180,7 @@ class _Body:
 
 
 def _run(domain: int, pipe: Connection) -> None:
-    with undisturbed(BOARD_PRIORITY, threads=True):
+    with real_time_priority(BOARD_PRIORITY, threads=True):
         body = _Body(domain)
         pipe.send("ready")
         due = last = time.monotonic()

@@ -1,4 +1,4 @@
-"""What pages in Markdown hold: links, headings and commands."""
+"""Links, headings and commands in Markdown pages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def links(text: str) -> list[str]:
 
 
 def anchors(text: str) -> set[str]:
-    """Return the anchors that a Git host gives to the headings of a page."""
+    """Return the anchors that Git hosts generate for the headings of a page."""
     found: set[str] = set()
     for title in re.findall(r"^#+ +(.+?) *$", FENCED.sub("", text), re.MULTILINE):
         slug = re.sub(r"[^\w\- ]", "", re.sub(r"\]\([^)]*\)", "]", title).lower()).replace(" ", "-")
@@ -32,7 +32,7 @@ def anchors(text: str) -> set[str]:
 
 
 def dead_links(page: Path) -> list[str]:
-    """Return the relative links of a page whose file or heading is missing."""
+    """Return the relative links of a page to missing files or headings."""
     dead = []
     for link in links(page.read_text(encoding="utf-8")):
         place, _, anchor = link.partition("#")
@@ -44,19 +44,19 @@ def dead_links(page: Path) -> list[str]:
 
 
 def blocks(text: str) -> list[str]:
-    """Return the fenced blocks of a shell, and the indented ones; lines that a backslash continues are joined."""
+    """Return fenced shell blocks and indented blocks; lines continued by a backslash are joined."""
     text = COMMENT.sub("", text)
     fenced = [code for _, language, code in FENCED.findall(text) if language in ("", "bash", "sh")]
     return [re.sub(r"\\\n\s*", " ", block) for block in [*fenced, *INDENTED.findall(FENCED.sub("", text))]]
 
 
 def lines(block: str) -> list[str]:
-    """Return the commands of a block without comments."""
+    """Return the commands in a block, without comments."""
     return [line for one in block.splitlines() if (line := re.split(r"\s#|\s&$|^#", one.strip())[0].strip())]
 
 
 def commands(text: str) -> list[str]:
-    """Return all commands `surefoot ...` of a page: those of its blocks, and those in its sentences."""
+    """Return all commands `surefoot ...` on a page, in blocks and in sentences."""
     prose = FENCED.sub("", COMMENT.sub("", text))
     found = [line for block in blocks(text) for line in lines(block) if line.startswith("surefoot ")]
     return [" ".join(one.split()) for one in [*found, *re.findall(r"`(surefoot\s[^`]+)`", prose)]]

@@ -1,4 +1,4 @@
-"""Made-up quadrupeds as others write them: a URDF and an MJCF whose parts tests replace."""
+"""Synthetic third-party quadrupeds: a URDF and an MJCF with parts that tests replace."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ SPHERE = '<origin xyz="0 0 0"/><geometry><sphere radius="0.02"/></geometry>'
 
 
 def link(name: str, mass: float, moments: tuple[float, float, float], shape: str, z: float = 0.0) -> str:
-    """A link with a shape that is drawn and collides."""
+    """Return a link with a shape for visual and collision."""
     place = shape if "<origin" in shape else f'<origin xyz="0 0 {z}"/><geometry>{shape}</geometry>'
     xx, yy, zz = moments
     return (
@@ -20,19 +20,19 @@ def link(name: str, mass: float, moments: tuple[float, float, float], shape: str
 def joint(
     name: str, kind: str, parent: str, child: str, place: str, axis: str = "0 1 0", limits: str = 'lower="-1" upper="3"'
 ) -> str:
-    """A joint; `limits` are attributes besides effort and velocity."""
+    """Return a joint; `limits` are attributes in addition to effort and velocity."""
     limit = "" if kind == "fixed" else f'<axis xyz="{axis}"/><limit {limits} effort="20" velocity="20"/>'
     ends = f'<parent link="{parent}"/><child link="{child}"/><origin xyz="{place}"/>'
     return f'<joint name="{name}" type="{kind}">{ends}{limit}</joint>'
 
 
 def urdf(longer: float = 0.0, foot: str = SPHERE, more: str = "") -> str:
-    """A quadruped of boxes of 10.6 kg with legs of .4 m.
+    """Return the URDF of a 10.6 kg quadruped made of boxes, with 0.4 m long legs.
 
     Args:
-        longer: how much longer the thigh of the back left leg is [m].
-        foot: origin and geometry of the feet's shapes, at the ankles.
-        more: further links and joints.
+        longer: extra length of the back left thigh [m].
+        foot: origin and geometry of the foot shapes, at the ankles.
+        more: additional links and joints.
     """
     parts = [link("trunk", 6, (0.04, 0.09, 0.11), '<box size="0.4 0.2 0.1"/>')]
     for leg, x, y in LEGS:
@@ -55,12 +55,12 @@ def urdf(longer: float = 0.0, foot: str = SPHERE, more: str = "") -> str:
 def mjcf(
     actuators: str = "", joint_extra: str = "", more: str = "", compiler: str = "", order: str = "FL FR RL RR"
 ) -> str:
-    """An MJCF of a quadruped of 12.1 kg with legs of .4 m.
+    """Return the MJCF of a 12.1 kg quadruped with 0.4 m long legs.
 
     Args:
-        actuators: a template of an actuator with `{joint}`, which every hinge of a leg gets in this order.
-        joint_extra: attributes of every hinge.
-        more: further elements.
+        actuators: template of an actuator with `{joint}`, applied to every leg joint in order.
+        joint_extra: attributes of every leg joint.
+        more: additional elements.
         compiler: attributes of the compiler.
         order: order of the legs' actuators.
     """

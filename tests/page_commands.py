@@ -1,4 +1,4 @@
-"""The commands of a page, run as its reader does: in an empty folder and in order; trainings and episodes are short."""
+"""Commands of a page, run in order in an empty folder as by a reader, but with short trainings and episodes."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from markdown_pages import COMMENT, FENCED, ROOT, lines
-from processes import served, surefoot
+from processes import serve_page, surefoot
 
 LIMITS = {"--steps": 256, "--episodes": 2, "--duration": 1, "--trials": 2}
-"""Greatest values of options."""
+"""Maximum values of options."""
 RESUMED_STEPS = 384
-"""Steps of a training that goes on."""
+"""Total steps of a resumed training."""
 SHORT = {
     "train": {
         **{"--steps": 256, "--num-envs": 8, "--steps-per-update": 16, "--evaluate-every": 128},
@@ -25,23 +25,23 @@ SHORT = {
     "evaluate": {"--episodes": 2},
     "gap": {"--episodes": 1},
 }
-"""Options that make a command short, unless the page has them."""
+"""Options that shorten a command, unless the page sets them."""
 FULL_SIZE = ("--help", "--resume", "--trace", "--command-grid")
-"""Options of commands that take none of `SHORT`."""
+"""Options with which commands do not accept those of `SHORT`."""
 SENSITIVITY = {"--values": 2, "--episodes": 1}
 IGNORED = ("pip", "python3", "tensorboard", "make", "ping", "sudo", "git", "cmake", "CYCLONEDDS_HOME")
-"""Programs that a page names and that no test runs here; README's `make` and `pip` lines have tests of their own."""
+"""Programs on pages that are not run here; README's `make` and `pip` commands have separate tests."""
 
 
 @dataclass
 class PageRun:
-    """A reader who tries what a page shows.
+    """Run of all commands on a page.
 
     Attributes:
-        folder: the folder in which everything runs.
-        elsewhere: commands that are not run here, by a part of the line, and the test that runs them.
-        before: words of commands that make what the page takes as there.
-        names: what stands for a name on the page, such as FOLDER; RUN is the newest training.
+        folder: working folder.
+        elsewhere: commands that are not run here, by a part of the line, with the test that runs them.
+        before: arguments of commands that create files that the page presupposes.
+        names: values of placeholders on the page, such as FOLDER; RUN is the newest training.
         ran: lines that were run.
     """
 
@@ -55,7 +55,7 @@ class PageRun:
         """Run all blocks of a page.
 
         Raises:
-            AssertionError: a command that fails, or an entry of `elsewhere` that is on no line.
+            AssertionError: a command fails, or an entry of `elsewhere` does not occur on the page.
         """
         text, unused = COMMENT.sub("", page.read_text(encoding="utf-8")), set(self.elsewhere)
         with contextlib.chdir(self.folder):
@@ -76,7 +76,7 @@ class PageRun:
         assert not unused, f"{page.name} no longer has {unused}"
 
     def _save(self, code: str) -> None:
-        """Write a file whose name is in its first line, such as `# quick-trot.yaml`."""
+        """Write a block to the file that its first line names, such as `# quick-trot.yaml`."""
         if name := re.match(r"# (\w[\w.-]*\.yaml)", code):
             Path(name[1]).write_text(code, encoding="utf-8")
 
@@ -89,7 +89,7 @@ class PageRun:
         words = shortened(command, words)
         print("surefoot", command, shlex.join(words))
         if serves_a_page(command, words):
-            with served(command, *words, cwd=self.folder) as address:
+            with serve_page(command, *words, cwd=self.folder) as address:
                 assert urllib.request.urlopen(address).status == 200
         else:
             done = surefoot(command, *words)
@@ -97,18 +97,18 @@ class PageRun:
         self.ran.append(line)
 
     def _filled(self, word: str) -> list[str]:
-        """Return a word with the newest file that a pattern matches, or what stands for a name."""
+        """Return an argument with patterns replaced by the newest matching file, and placeholders by their values."""
         word = {"RUN": "runs/*/*", **self.names}.get(word, word)
         return sorted(glob.glob(word), key=lambda path: Path(path).stat().st_mtime)[-1:] if "*" in word else [word]
 
 
 def serves_a_page(command: str, words: list[str]) -> bool:
-    """Return whether a command runs until somebody stops it."""
+    """Return whether a command serves a page until it is stopped."""
     return command == "drive" or (command == "show" and words[0].endswith(".npz") and "--out" not in words)
 
 
 def shortened(command: str, words: list[str]) -> list[str]:
-    """Return the words of a command with options that make it short."""
+    """Return the arguments of a command with options that shorten it."""
     if any(word in FULL_SIZE for word in words):
         options = {}
     elif command == "evaluate" and words[0] == "sensitivity":

@@ -1,4 +1,4 @@
-"""Processes that tests start: `surefoot` as a user gives it, and robots that are emulated; how busy the computer is."""
+"""Processes for tests: `surefoot` commands, emulated robots, and a measure of how busy the computer is."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ from surefoot.cli.main import main
 
 SUREFOOT = (sys.executable, "-m", "surefoot")
 BUSY = 0.003
-"""Lateness [s] of a bare loop from which on the computer is too busy for real time: half a control step of 6 ms."""
+"""Lateness of a bare loop above which the computer is too busy for real-time tests [s]: half a control step of 6 ms."""
 
 
 def surefoot(*words: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end in this process, where there is no display."""
+    """Run a command in this process, without a display; return its result."""
     out, err = io.StringIO(), io.StringIO()
     environment = {"COLUMNS": "100", "DISPLAY": "", "WAYLAND_DISPLAY": ""}
     with contextlib.ExitStack() as stack:
         for context in (contextlib.redirect_stdout(out), contextlib.redirect_stderr(err), contextlib.chdir(cwd or ".")):
             stack.enter_context(context)
         stack.enter_context(mock.patch.dict(os.environ, environment))
-        # However slow the computer, standard error holds no lines of a bar that has taken long.
+        # Even on a slow computer, no lines of a progress bar are printed to standard error.
         stack.enter_context(mock.patch.object(progress, "_LINE_PERIOD", math.inf))
         try:
             code = main(list(map(str, words)))
-        except SystemExit as end:  # as of --help
+        except SystemExit as end:  # such as by --help
             code = int(end.code or 0)
     return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
 
 
 def printed_commands(text: str) -> dict[str, list[str]]:
-    """Return the words of every command that an output offers as `to PURPOSE: COMMAND`, by purpose."""
+    """Return the arguments of all commands suggested in an output as `to PURPOSE: COMMAND`, by purpose."""
     return {purpose: shlex.split(command) for purpose, command in re.findall(r"^to ([^:\n]+): (.+)$", text, re.M)}
 
 
-def refused(done: subprocess.CompletedProcess[str], *parts: str) -> None:
-    """Exit code 2, nothing on stdout, one line on stderr that has all parts."""
+def assert_rejected(done: subprocess.CompletedProcess[str], *parts: str) -> None:
+    """Check that a command was rejected: exit code 2, no stdout, and one line on stderr with all parts."""
     assert done.returncode == 2, done.stderr
     assert done.stdout == ""
     assert done.stderr.startswith("surefoot: error: ")
@@ -67,13 +67,13 @@ def wait_until(condition: Callable[[], bool], seconds: float = 400.0) -> None:
 
 
 def run_surefoot(*words: object, timeout: float = 200, **how: Any) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end."""
+    """Run a command in a separate process; return its result."""
     return subprocess.run([*SUREFOOT, *map(str, words)], capture_output=True, text=True, timeout=timeout, **how)
 
 
 @contextmanager
-def served(*words: object, cwd: Path | None = None) -> Iterator[str]:
-    """Run a command that serves a page, at a free port; give the page's address."""
+def serve_page(*words: object, cwd: Path | None = None) -> Iterator[str]:
+    """Context manager that runs a command that serves a page on a free port; yield the page's address."""
     command = [*SUREFOOT, *map(str, words), "--page-port", "0"]
     process = subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, text=True)
     try:
@@ -85,7 +85,7 @@ def served(*words: object, cwd: Path | None = None) -> Iterator[str]:
 
 
 class Emulator:
-    """A running `surefoot emulate`; `port` is its pseudo-terminal, or its DDS domain."""
+    """Running `surefoot emulate` process; `port` is its pseudo-terminal, or its DDS domain."""
 
     def __init__(self, *words: object) -> None:
         command = [*SUREFOOT, "emulate", *map(str, words)]
@@ -98,7 +98,7 @@ class Emulator:
         self._stderr: str | None = None
 
     def stop(self) -> tuple[int, str]:
-        """Ask it to end; return its exit code and its standard error."""
+        """Terminate the process; return its exit code and its standard error."""
         if self._stderr is None:
             if self.process.poll() is None:
                 self.process.terminate()
@@ -107,7 +107,7 @@ class Emulator:
 
 
 class EmulatorHere:
-    """What `surefoot emulate` runs, in a thread of this process: in lockstep, or in real time with `--baud 0`."""
+    """`surefoot emulate` in a thread of this process: in lockstep, or in real time with `--baud 0`."""
 
     def __init__(self, *words: object) -> None:
         from surefoot.cli.emulate import EmulateCommand, make_loop
@@ -132,23 +132,23 @@ class EmulatorHere:
         return self._pty.unread
 
     def hear_out(self, patience: float) -> None:
-        """Wait, at most `patience` [s], until it has received all that hosts in lockstep sent before they left."""
-        heard, deserted = threading.Event(), self._pty.deserted
+        """Wait, at most `patience` [s], until it has received all frames of hosts in lockstep that have left."""
+        heard, has_no_host = threading.Event(), self._pty.has_no_host
 
         def look() -> bool:
-            if left := deserted():
+            if left := has_no_host():
                 heard.set()
             return left
 
-        with mock.patch.object(self._pty, "deserted", look):
+        with mock.patch.object(self._pty, "has_no_host", look):
             assert heard.wait(patience)
 
     def wait_until_free(self, patience: float) -> None:
-        """Wait, at most `patience` [s], until another operator may have the robot that its hosts have left."""
-        wait_until(lambda: not self.board.firmware.is_taken(self.board.now), patience)
+        """Wait, at most `patience` [s], until another operator may control the robot after its hosts have left."""
+        wait_until(lambda: not self.board.firmware.has_operator(self.board.now), patience)
 
     def stop(self) -> str:
-        """End it; return the line that sums up."""
+        """Stop the emulator; return its summary line."""
         self._summary.stop = True
         self._thread.join()
         self._pty.close()
@@ -157,7 +157,7 @@ class EmulatorHere:
 
 @contextmanager
 def emulators(kind: type[Any] = Emulator) -> Iterator[Callable[..., Any]]:
-    """Start emulators that end with the context."""
+    """Context manager that yields a function to start emulators, which are stopped at the end."""
     started: list[Any] = []
 
     def start(*words: object) -> Emulator:
@@ -172,11 +172,11 @@ def emulators(kind: type[Any] = Emulator) -> Iterator[Callable[..., Any]]:
 
 
 class BareLoop:
-    """A process that wakes every millisecond and does nothing; `worst` is how much too late it woke at worst [s].
+    """Process that only wakes up every millisecond; `worst` is its maximum delay [s].
 
     Args:
-        priority: among real-time processes, where this is allowed: only the computer itself then delays it. 0 is
-            ordinary: other programs delay it too.
+        priority: real-time priority, if allowed, so that only the computer itself delays it; with 0, other programs
+            delay it as well.
     """
 
     CODE = """

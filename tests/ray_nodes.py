@@ -1,4 +1,4 @@
-"""Computers of a Ray cluster for tests: each is a group of processes on this machine, with an address of its own."""
+"""Simulated computers of a Ray cluster: each is a group of processes on this machine with its own address."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ os.environ |= {
     "RAY_AUTH_TOKEN": secrets.token_hex(32),
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_worker_niceness": "0",
-    "RAY_health_check_period_ms": "300",  # A node that is gone is missed five times: 1.5 s, not 15.
+    "RAY_health_check_period_ms": "300",  # A lost node is detected after five missed heartbeats: 1.5 s instead of 15 s.
 }
-"""Ray reads these once, when a process imports it: for this process, for all clusters, and for what tests start."""
+"""Environment variables that Ray reads once at import, in this process and in processes started by tests."""
 
 
 def free_port() -> int:
@@ -30,7 +30,7 @@ def free_port() -> int:
 
 
 class Node:
-    """A computer with one processor for workers."""
+    """Computer with one processor for workers."""
 
     def __init__(self, log: Path, *words: str, cpus: int = 1) -> None:
         command = [sys.executable, "-m", "ray.scripts.scripts", "start", "--block", *words, "--num-cpus", str(cpus)]
@@ -46,24 +46,24 @@ class Node:
             time.sleep(0.1)
 
     def kill(self) -> None:
-        """End it as a loss of power would."""
-        # Processes of a node share a group; workers end with the node's own process.
+        """Kill all its processes, as by a power failure."""
+        # The processes of a node share a process group; workers end with the node's main process.
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
 
 class Cluster:
-    """A cluster whose first computer runs until the end.
+    """Cluster whose first computer runs until the end.
 
-    `address` is what `--ray` takes.
+    `address` is the value for `--ray`.
     """
 
     def __init__(self, folder: Path, cpus: int) -> None:
         self._folder, port = folder, free_port()
         self.address, self.nodes = f"127.0.0.1:{port}", list[Node]()
         head = ("--head", "--node-ip-address", "127.0.0.1", "--port", str(port))
-        # Without its processes that nobody asks here: they take seconds to start.
+        # Unused services are disabled, because they take seconds to start.
         without = ("--no-monitor", "--ray-client-server-port", str(free_port()), "--include-dashboard", "false")
         self._start(*head, *without, cpus=cpus)
 
@@ -79,7 +79,7 @@ class Cluster:
 
 @contextmanager
 def cluster(folder: Path, cpus: int) -> Iterator[Cluster]:
-    """Start the first computer of a cluster, and end all computers in the end."""
+    """Context manager that starts the first computer of a cluster, and stops all computers at the end."""
     nodes: list[Node] = []
     try:
         made = Cluster(folder, cpus)

@@ -1,4 +1,4 @@
-"""Traces of robots that swing their legs and move at a steady speed, made without a simulation."""
+"""Synthetic traces of robots that swing their legs and move at a constant speed."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from surefoot.task.trace import EpisodeTrace
 
 
 def standing_height(robot: RobotDescription) -> float:
-    """Return the height [m] of the base of a robot that rests."""
+    """Return the height of a robot's base in the resting pose [m]."""
     return -float(robot.foot_positions(robot.resting_angles)[:, 2].min())
 
 
 def swinging(
     make_run: Callable[..., EpisodeTrace], name: str = "go2", speed: float = 0.5, seconds: float = 2.0, **changes: Any
 ) -> ShownTrace:
-    """Return a robot whose motors swing by .2 rad at 1 Hz; `arrays` and meta as `make_run` takes them."""
+    """Return the trace of a robot whose motors swing by 0.2 rad at 1 Hz; for `arrays` and meta see `make_run`."""
     robot = RobotDescription.load(name)
     time = 0.01 * np.arange(1, round(seconds * 100) + 1)
     angles = robot.resting_angles + 0.2 * np.sin(2 * np.pi * time)[:, None]
@@ -42,7 +42,7 @@ def swinging(
 
 
 def data_of(page: str) -> dict[str, Any]:
-    """Return what a page's script is given, with each run's columns as arrays (N, k)."""
+    """Return the data of a page's script, with the columns of each run as arrays (N, k)."""
     match = re.search(r"DATA = (\{.*\}),\n", page)
     assert match is not None
     data: dict[str, Any] = json.loads(match[1])

@@ -1,4 +1,4 @@
-"""References read from mappings, as from a task's file."""
+"""Reference gaits read from mappings, as in task files."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ from surefoot.task.reference_config import REFERENCES
 def read_reference(
     data: Mapping[str, Any], robot: RobotDescription, commands: CommandLimits | None = None
 ) -> Reference:
-    """Return the reference that a task's `reference` describes."""
+    """Return the reference gait for the table `reference` of a task."""
     return from_tagged(REFERENCES, data, "reference").make(robot, commands)

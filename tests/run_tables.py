@@ -1,4 +1,4 @@
-"""Tables of runs and sensitivities with numbers of one's choice."""
+"""Tables of runs and sensitivities with given values."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from surefoot.evaluation.sensitivity import NOMINAL, Sensitivity, row_unit
 
 
 def runs_table(world: str, *returns: float, falls: int = 0) -> pd.DataFrame:
-    """Return runs with these returns, each 1 m/s at 10 W, of which the first ones fell."""
+    """Return runs with given returns, at 1 m/s and 10 W; the first `falls` runs fell."""
     values, fell = np.array(returns), np.arange(len(returns)) < falls
     columns = {"return": values, "distance": values + 1, "speed": 1.0, "power": 10.0, "steps": 100}
     return pd.DataFrame({"world": world, "run": range(len(values)), **columns, "fell": fell, "balanced": ~fell})
 
 
 def policy_gap(name: str, home: Sequence[float], away: Mapping[str, Sequence[float]], falls: int = 0) -> PolicyGap:
-    """Return a policy's runs with these returns in mujoco and in other worlds, where the first ones fell."""
+    """Return a policy's runs with given returns in mujoco and in other worlds, where the first `falls` runs fell."""
     worlds = [runs_table(world, *returns, falls=falls) for world, returns in away.items()]
     return PolicyGap.from_runs(name, [runs_table("mujoco", *home), *worlds])
 
@@ -33,9 +33,9 @@ def sensitivity_table(
     fell: ArrayLike,
     nominal: tuple[Mapping[str, float], ArrayLike, ArrayLike],
 ) -> Sensitivity:
-    """Return a sensitivity at .5 m/s from returns (W, E) and falls (W, E) in test worlds.
+    """Return a sensitivity at 0.5 m/s from returns (W, E) and falls (W, E) in test worlds.
 
-    Of the nominal world there are values of rows, returns (E,) and falls (E,).
+    The nominal world is given by the values of parameters, returns (E,) and falls (E,).
     """
     values, nominal_returns, nominal_fell = nominal
     table = np.vstack([nominal_returns, returns])

@@ -1,4 +1,4 @@
-"""Imports between the packages, and the imports of the robot's computer."""
+"""Allowed imports between packages, and imports on the robot's computer."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ ALLOWED: dict[str, set[str]] = {
     "task": {"robot", "policy", "world.interface", "world.ground", "world.terrain"},
     "learn": {"task", "policy", "evaluation", "robot", "world.interface"},
     "policy": {"robot"},
-    "evaluation": {"task", "policy", "world", "robot"},
+    "estimation": {"robot"},
+    "evaluation": {"task", "policy", "world", "robot", "estimation"},
     "identify": {"world", "deploy", "robot", "actuator", "task.trace"},
     "deploy": {
-        *("robot", "policy", "world.interface"),
+        *("robot", "policy", "estimation", "world.interface"),
         *("task.contract_mapping", "task.policy_plugins", "task.commands", "task.observation", "task.gait"),
         *("task.component", "task.gait_components", "task.state"),
         *("task.height_scan", "task.trace", "task.partial_trace"),
@@ -41,15 +42,17 @@ ALLOWED: dict[str, set[str]] = {
     "adopt": {"policy", "task", "robot", "deploy.checks", "evaluation", "world"},
     "studies": {"report", "learn", "evaluation", "task", "policy", "world", "robot"},
 }
-"""What each package may import besides itself and the modules at the top: packages, or modules of one
-("world.interface"). `cli` may import anything; only `surefoot.__main__` imports it."""
+"""Imports allowed to each package, in addition to itself and the top-level modules: packages, or single modules such as
+"world.interface". `cli` may import anything; only `surefoot.__main__` imports it."""
 FACADE = {"__init__", "api", "envs"}
-"""What `import surefoot` and the commands share; it may import anything but `cli` and `studies`."""
+"""Packages shared by `import surefoot` and the commands, which may import anything except `cli` and `studies`."""
 ROBOT_SIDE = [
     "policy.runtime",
     "task.gait",
     "task.observation",
     "task.trace",
+    "estimation.legged_odometry",
+    "evaluation.estimated_motion",
     "robot",
     "api.policies",
     "cli.doctor",
@@ -63,7 +66,7 @@ ROBOT_SIDE = [
     "identify.registry",
     "identify.ground.plans",
 ]
-"""Modules that the robot's computer runs, besides `surefoot.deploy`."""
+"""Modules that run on the robot's computer, in addition to `surefoot.deploy`."""
 NOT_ON_THE_ROBOT = {
     *("mujoco", "numba", "llvmlite", "gymnasium", "scipy", "pandas", "pybullet", "tomli_w"),
     *("torch", "tensordict", "rsl_rl", "tensorboard", "onnx", "stable_baselines3", "filelock"),
@@ -75,11 +78,11 @@ FILES = {
     ".".join(file.relative_to(PACKAGE).with_suffix("").parts).removesuffix(".__init__"): file
     for file in sorted(PACKAGE.rglob("*.py"))
 }
-"""The file of each module, by its dotted name below the package."""
+"""File of each module, by its dotted name below the package."""
 
 
 def imported(source: str) -> set[str]:
-    """Return the dotted names below the package that a module imports, wherever they stand in the file."""
+    """Return the dotted names below the package that a module imports, anywhere in the file."""
     names: set[str] = set()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
@@ -87,7 +90,7 @@ def imported(source: str) -> set[str]:
         elif isinstance(node, ast.ImportFrom):
             assert not node.level, "imports are absolute"
             module = f"{node.module}."
-            # `from a import b` imports module a.b where there is one, and otherwise something that a defines.
+            # `from a import b` imports module a.b if it exists, and otherwise a name defined in a.
             whole = {f"{module}{alias.name}" for alias in node.names}
             names |= {name if name.removeprefix("surefoot.") in FILES else module[:-1] for name in whole}
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith("import_module"):
@@ -97,7 +100,7 @@ def imported(source: str) -> set[str]:
 
 @functools.cache
 def imports() -> dict[str, set[str]]:
-    """Return what each module imports, by its dotted name."""
+    """Return the imports of each module, by its dotted name."""
     return {name: imported(file.read_text(encoding="utf-8")) for name, file in FILES.items()}
 
 
@@ -123,7 +126,7 @@ def test_every_package_is_in_the_table():
     assert packages == {*ALLOWED, "api", "cli"}
 
 
-def test_the_page_has_the_packages_that_each_may_import():
+def test_the_architecture_page_lists_the_allowed_imports():
     page = (PACKAGE.parents[1] / "docs" / "architecture.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)/`.*\| ([^|]+) \|$", page, re.MULTILINE)
     said = {package: set(re.findall(r"\w+", cell)) & set(ALLOWED) for package, cell in rows if package in ALLOWED}
@@ -135,8 +138,8 @@ def test_the_packages_form_a_hierarchy():
     assert set(graphlib.TopologicalSorter(graph).static_order()) == set(ALLOWED)  # raises CycleError at a cycle
 
 
-def test_no_modules_import_each_other_in_a_cycle():
-    # A package's own file may import its modules, and they it.
+def test_modules_have_no_import_cycles():
+    # A package's __init__ and its modules may import each other.
     packages = {name for name, file in FILES.items() if file.name == "__init__.py"}
     graph = {name: (targets & set(FILES)) - {name, *packages} for name, targets in imports().items()}
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError at a cycle
@@ -156,7 +159,7 @@ def test_imports_are_found_at_any_depth():
 
 
 def import_on_the_robot(names: list[str]) -> subprocess.CompletedProcess[str]:
-    """Import modules, one after another, in a new process that has only the bare install."""
+    """Import modules in sequence in a new process that has only the bare install."""
     script = f"""
 import importlib, sys
 
@@ -172,10 +175,10 @@ for name in {names!r}:
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120)
 
 
-def test_what_the_robot_runs_imports_without_simulation_and_learning():
+def test_modules_on_the_robot_import_without_simulation_and_learning():
     deploy = [name for name in FILES if name.startswith("deploy.") and not name.endswith("__main__")]
     assert "deploy.loop" in deploy
-    # The last one shows that the robot of these tests lacks a simulator.
+    # The last module proves that the simulator is not available in this process.
     done = import_on_the_robot([*(f"surefoot.{name}" for name in (*ROBOT_SIDE, *deploy)), "mujoco"])
     assert done.returncode != 0
     assert done.stderr.endswith("ImportError: the robot's computer has no mujoco\n")

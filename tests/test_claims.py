@@ -1,4 +1,4 @@
-"""Measured numbers of pages are those of the files of results: of docs/claims.yaml, and of the paper's scorecard."""
+"""Measured numbers on pages agree with the result files: the claims in docs/claims.yaml, and the paper's scorecard."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NUMBER = re.compile(rf"(?<![\w.-])\d+(?:\.\d+)?(?![\w.]*\w)|\b(?:{'|'.join(WORDS
 
 @dataclass(frozen=True)
 class Number:
-    """Source of one number of a claim: where it stands in the results, or a setting."""
+    """Source of a number in a claim: its place in the results, or a setting."""
 
     file: str = ""
     row: dict[str, Any] = field(default_factory=dict)
@@ -31,10 +31,10 @@ class Number:
     setting: float | None = None
 
     def measured(self, root: Path) -> float:
-        """Return the number that the source has.
+        """Return the number at the source.
 
         Raises:
-            AssertionError: no row, more rows than one without `of`, or no such column.
+            AssertionError: there is no row, several rows without `of`, or no such column.
         """
         if self.setting is not None:
             return self.setting
@@ -66,7 +66,7 @@ def holds_any(row: dict[str, str], excluded: dict[str, Any]) -> bool:
 
 
 def wrong(root: Path, claim: dict[str, Any]) -> list[str]:
-    """Return what is wrong with a claim: its text is not on the page, or a number is not the source's."""
+    """Return the errors of a claim: its text is not on the page, or a number differs from its source."""
     text = " ".join(claim["text"].split())
     page = " ".join((root / claim["page"]).read_text(encoding="utf-8").split())
     if text not in page.replace("**", ""):
@@ -97,7 +97,7 @@ def test_a_claim_is_on_its_page_and_rounds_to_its_source(claim: dict[str, Any]):
 
 
 def scorecard_differences(root: Path) -> list[str]:
-    """Return where README and the pages of the results say something else about the paper than tools/paper.yaml."""
+    """Return where README and pages of results contradict tools/paper.yaml."""
     from paper_page import VERDICTS, claims_markdown, claims_summary, load_content
 
     reproduction, results, readme = (
@@ -131,7 +131,7 @@ def scorecard_differences(root: Path) -> list[str]:
 
 
 def test_pages_have_the_scorecard_of_the_paper():
-    """README, results and reproduction class every claim of the paper as `surefoot study paper` does."""
+    """README, results and reproduction classify every claim of the paper like `surefoot study paper`."""
     pytest.importorskip("matplotlib")
     assert scorecard_differences(ROOT) == []
 
@@ -145,7 +145,7 @@ def test_pages_have_the_scorecard_of_the_paper():
         ("README.md", "**differ**", "are as in the paper"),
     ],
 )
-def test_another_verdict_on_a_page_is_found(tmp_path: Path, page: str, old: str, new: str):
+def test_a_different_verdict_on_a_page_is_detected(tmp_path: Path, page: str, old: str, new: str):
     pytest.importorskip("matplotlib")
     (tmp_path / "docs").mkdir()
     (tmp_path / "results").symlink_to(ROOT / "results")
@@ -158,7 +158,7 @@ def test_another_verdict_on_a_page_is_found(tmp_path: Path, page: str, old: str,
 
 @pytest.fixture
 def root(tmp_path: Path) -> Path:
-    """A page with four numbers, and the results that they come from."""
+    """Page with four numbers, and the results that contain them."""
     (tmp_path / "results").mkdir()
     (tmp_path / "README.md").write_text("It goes **0.66** m/s and fell in 3 of\nfive runs (95 % of 18.4 W).\n")
     rows = ["name,speed,falls", "a,0.6615,1", "b,0.7,2", "c,0.9,9", "d,0.9,9", "e,0.9,9"]
@@ -180,7 +180,7 @@ CLAIM = {
 }
 
 
-def test_a_claim_that_holds_has_nothing_wrong(root: Path):
+def test_a_correct_claim_has_no_errors(root: Path):
     assert wrong(root, CLAIM) == []
 
 
@@ -195,7 +195,7 @@ def test_a_claim_that_holds_has_nothing_wrong(root: Path):
         ("results/power.json", "1841", "1846", "has 18.4, power.json has 18.46"),
     ],
 )
-def test_a_changed_digit_is_found(root: Path, file: str, old: str, new: str, says: str):
+def test_a_changed_digit_is_detected(root: Path, file: str, old: str, new: str, says: str):
     text = (root / file).read_text()
     assert text.count(old) == 1
     (root / file).write_text(text.replace(old, new))

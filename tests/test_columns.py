@@ -1,4 +1,4 @@
-"""Declared columns: their shapes, what is refused, and rows of numbers."""
+"""Declared columns: their shapes, invalid values, and rows of numbers."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from surefoot.task.trace import EpisodeTrace
 
 @dataclass(frozen=True, kw_only=True)
 class Pair:
-    """A record of two columns."""
+    """A record with two columns."""
 
     time: Array = column("T", "s", "time")
-    force: Array = column("T, L, 3", "N", "force of the ground", "world", known=False)
+    force: Array = column("T, L, 3", "N", "force of the ground", "world", required=False)
     name: str = ""
 
 
-def test_columns_are_the_declared_fields_with_sizes_of_a_record():
+def test_declared_columns_have_unit_frame_and_shape():
     assert list(columns_of(Pair)) == ["time", "force"]
     force = columns_of(Pair)["force"]
-    assert (force.unit, force.frame, force.known) == ("N", "world", False)
-    assert force.sized({"T": 7, "L": 4}) == (7, 4, 3)
+    assert (force.unit, force.frame, force.required) == ("N", "world", False)
+    assert force.shape_for({"T": 7, "L": 4}) == (7, 4, 3)
     assert Pair().time.size == 0
 
 
 @pytest.mark.parametrize("record", [EpisodeTrace, Recording])
-def test_every_column_of_a_record_says_what_it_is(record: type):
+def test_every_column_of_a_record_is_described(record: type):
     for name, one in columns_of(record).items():
         assert one.meaning, name
         for frame in ("world", "base"):
@@ -48,20 +48,20 @@ def test_every_column_of_a_record_says_what_it_is(record: type):
         ([], r"force has shape \(0,\)"),
     ],
 )
-def test_other_shapes_and_values_are_refused(value: Any, message: str):
+def test_other_shapes_and_types_are_rejected(value: Any, message: str):
     with pytest.raises(SurefootError, match=message):
-        columns_of(Pair)["force"].checked("force", value, {"T": 3, "L": 2})
+        columns_of(Pair)["force"].validate("force", value, {"T": 3, "L": 2})
 
 
-def test_a_column_that_is_left_out_is_nan_where_it_may_be():
+def test_an_omitted_optional_column_is_nan():
     force = columns_of(Pair)["force"]
-    assert np.isnan(force.checked("force", [], {"T": 3, "L": 2}, may_be_nan=True)).all()
-    whole = force.checked("force", [[[1, 2, 3]]], {"T": 1, "L": 1})
+    assert np.isnan(force.validate("force", [], {"T": 3, "L": 2}, may_be_nan=True)).all()
+    whole = force.validate("force", [[[1, 2, 3]]], {"T": 1, "L": 1})
     assert whole.dtype == np.float64
     assert not whole.flags.writeable
 
 
-def test_rows_hold_columns_in_their_order():
+def test_rows_contain_columns_in_layout_order():
     layout = RowLayout({"time": 1, "force": 6})
     force = np.arange(12.0).reshape(2, 2, 3)
     rows = layout.rows({"force": force, "time": np.array([0.1, 0.2])})

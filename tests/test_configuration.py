@@ -1,4 +1,4 @@
-"""YAML and TOML that are hostile, bounds of fields, names that become files, quoted values, limits of what is read."""
+"""Hostile YAML and TOML, bounds of fields, names of files, quoted values, and size limits of files."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (BOMB, "it holds more than 200000 values"),
-        (MERGES, "it holds more than 200000 values"),
+        (BOMB, "it contains more than 200000 values"),
+        (MERGES, "it contains more than 200000 values"),
         ("a: &a [*a]", "a value that contains itself"),
-        ("a: " + "[" * 5000 + "]" * 5000, "it is nested more than 50 deep"),
+        ("a: " + "[" * 5000 + "]" * 5000, "it is nested more than 50 levels deep"),
         ("a: " + "9" * 6000, "is not YAML"),
         ("a: !!timestamp x", "is not YAML"),
         ("a: !!int x", "is not YAML"),
@@ -40,7 +40,7 @@ MERGES = "a0: &a0 {x: 1}\n" + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 
     ],
     ids=["aliases", "merges", "itself", "deep", "digits", "date", "int", "bool"],
 )
-def test_hostile_yaml_is_refused_in_one_line(tmp_path: Path, text: str, message: str):
+def test_hostile_yaml_is_rejected_in_one_line(tmp_path: Path, text: str, message: str):
     with pytest.raises(SurefootError, match=message) as caught:
         yaml(tmp_path, text)
     assert len(str(caught.value)) < 500
@@ -50,7 +50,7 @@ def test_dates_are_text(tmp_path: Path):
     assert yaml(tmp_path, "a: 2020-01-01\nb: 2020-13-45\n") == {"a": "2020-01-01", "b": "2020-13-45"}
 
 
-def test_aliases_and_merges_in_measure_are_read(tmp_path: Path):
+def test_moderate_aliases_and_merges_are_read(tmp_path: Path):
     assert yaml(tmp_path, "a: &a {x: 1}\nb: {<<: *a, y: 2}\nc: *a\n") == {
         "a": {"x": 1},
         "b": {"x": 1, "y": 2},
@@ -59,7 +59,7 @@ def test_aliases_and_merges_in_measure_are_read(tmp_path: Path):
 
 
 @pytest.mark.parametrize("text", ["a = " + "[" * 5000 + "]" * 5000, "a = " + "9" * 6000, "a", "\xff"])
-def test_hostile_toml_is_refused_in_one_line(tmp_path: Path, text: str):
+def test_hostile_toml_is_rejected_in_one_line(tmp_path: Path, text: str):
     (tmp_path / "a.toml").write_text(text, encoding="latin-1")
     with pytest.raises(SurefootError, match=r"a\.toml: is not TOML"):
         read_toml(tmp_path / "a.toml")
@@ -67,9 +67,9 @@ def test_hostile_toml_is_refused_in_one_line(tmp_path: Path, text: str):
 
 @dataclass(frozen=True)
 class Config:
-    """Fields of all kinds."""
+    """A field of each type."""
 
-    number: Annotated[float, Within(0, 1, above=True)] = 0.5
+    number: Annotated[float, Within(0, 1, exclusive=True)] = 0.5
     count: Annotated[int, Within(1, 10)] | None = None
     units: tuple[Annotated[int, Within(1, 10)], ...] = ()
     free: float = 0.0
@@ -77,7 +77,7 @@ class Config:
     anything: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse what is out of bounds."""
+        """Check the bounds of all fields."""
         check_bounds(self, "c")
 
 
@@ -97,7 +97,7 @@ class Config:
         ({"word": "\udc80"}, "c.word is .* Unicode text"),
     ],
 )
-def test_values_out_of_bounds_are_refused(values: dict[str, Any], message: str):
+def test_values_out_of_bounds_are_rejected(values: dict[str, Any], message: str):
     with pytest.raises(SurefootError, match=f"^{message}"):
         Config(**values)
 
@@ -106,7 +106,7 @@ def test_values_within_bounds_are_accepted():
     Config(number=1.0, count=10, units=(1, 10), free=-1e15, word="\u00e9", anything={"a": [True, None, 1]})
 
 
-def test_a_number_too_large_for_a_float_is_refused():
+def test_a_number_too_large_for_a_float_is_rejected():
     with pytest.raises(SurefootError, match=r"^free is 1000.* it must be a finite number"):
         from_mapping(Config, {"free": 10**400})
     assert not is_number(10**400)
@@ -114,7 +114,7 @@ def test_a_number_too_large_for_a_float_is_refused():
 
 @dataclass(frozen=True)
 class Choices:
-    """Fields of few values, and a list of values of different kinds."""
+    """Fields with a few choices, and a list of values of different types."""
 
     level: Literal[1, 2] = 1
     on: Literal[True] | None = None
@@ -131,7 +131,7 @@ class Choices:
         ({"k" * 101: 1}, "'k+\\.\\.\\.k+' is not a key"),
     ],
 )
-def test_choices_keys_and_lists_are_refused_with_the_rule(data: dict[str, Any], message: str):
+def test_invalid_choices_keys_and_lists_are_rejected_with_the_rule(data: dict[str, Any], message: str):
     with pytest.raises(SurefootError, match=f"^{message}"):
         from_mapping(Choices, data)
     assert from_mapping(Choices, {"level": 2, "on": True, "setting": ["b", 2]}) == Choices(2, True, ("b", 2.0))
@@ -148,7 +148,7 @@ class Circle:
 
 @dataclass(frozen=True)
 class Box:
-    """The other one."""
+    """The other shape."""
 
     kind: Literal["box"] = "box"
     width: float = 2.0
@@ -157,7 +157,7 @@ class Box:
 
 @dataclass(frozen=True)
 class Drawing:
-    """A table that holds one of them."""
+    """A table with one of the two shapes."""
 
     shape: Circle | Box = field(default_factory=Circle)
 
@@ -168,16 +168,16 @@ class Drawing:
         ({}, Circle()),
         ({"radius": 2}, Circle(radius=2.0)),
         ({"kind": "box", "width": 3.0, "place": [1, 2]}, Box(width=3.0, place=(1.0, 2.0))),
-        ({"kind": "box", "radius": 1}, Box()),  # of the other kind, but its default
+        ({"kind": "box", "radius": 1}, Box()),  # a key of the other kind, with that kind's default
         ({"kind": "circle", "width": 2.0, "radius": 4.0}, Circle(radius=4.0)),
     ],
 )
-def test_the_kind_says_which_of_several_dataclasses_a_table_is(data: dict[str, Any], shape: Circle | Box):
+def test_the_key_kind_selects_the_dataclass(data: dict[str, Any], shape: Circle | Box):
     assert from_mapping(Drawing, {"shape": data}) == Drawing(shape)
     assert from_mapping(Drawing, to_mapping(Drawing(shape))) == Drawing(shape)
 
 
-def test_a_base_of_another_kind_gives_what_both_kinds_have():
+def test_a_base_of_another_kind_provides_the_common_fields():
     base = Drawing(Circle(radius=3.0, place=(1.0, 2.0)))
     assert from_mapping(Drawing, {"shape": {"radius": 4.0}}, base=base).shape == Circle("circle", 4.0, (1.0, 2.0))
     assert from_mapping(Drawing, {"shape": {"kind": "box"}}, base=base).shape == Box(place=(1.0, 2.0))
@@ -195,10 +195,10 @@ def test_a_base_of_another_kind_gives_what_both_kinds_have():
         ),
         ({"kind": "box", "radius": "wide"}, r"shape.radius is 'wide'; it must be a number"),
         ({"kind": "box", "widht": 2.0}, r"shape.widht is not a key; did you mean width\? choices: kind, width, place"),
-        (3, r"shape is 3; it must be a table with keys out of: kind, radius, place"),
+        (3, r"shape is 3; it must be a table with keys from: kind, radius, place"),
     ],
 )
-def test_a_table_that_fits_no_kind_is_refused_in_one_line(data: Any, message: str):
+def test_a_table_that_matches_no_kind_is_rejected_in_one_line(data: Any, message: str):
     with pytest.raises(SurefootError, match=f"^{message}"):
         from_mapping(Drawing, {"shape": data})
 
@@ -209,7 +209,7 @@ def test_a_plain_name_is_accepted(name):
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "../../x", "a/b", "a b", "a.b", "-x", "a\n", "\u00e9", "A" * 101])
-def test_names_that_are_no_plain_file_names_are_refused(name):
+def test_names_that_are_not_plain_file_names_are_rejected(name):
     with pytest.raises(SurefootError, match=r"^name is .*letters, digits, - and _ only"):
         check_name("name", name)
 
@@ -223,7 +223,7 @@ def test_a_quoted_value_is_shortened():
     assert quote([0, 1.5, "a"]) == "[0, 1.5, 'a']"
 
 
-def test_a_configuration_is_a_regular_file_of_limited_size(tmp_path: Path):
+def test_a_configuration_must_be_a_regular_file_of_limited_size(tmp_path: Path):
     path = tmp_path / "a.yaml"
     path.write_bytes(b"x" * CONFIGURATION_BYTES)
     assert len(read_configuration(path)) == CONFIGURATION_BYTES

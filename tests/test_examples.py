@@ -1,4 +1,4 @@
-"""The notebook and the scripts of examples/, run with few steps."""
+"""Notebook and scripts of examples/, run with few steps."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ surefoot.train = lambda *words, settings={}, **options: _train(
     *words, settings={**_quick, "task": {"max_steps": 30}, **settings}, **options
 )
 """
-"""What the test adds to the notebook's parameters: less of everything."""
+"""Parameters of the notebook that make the test short."""
 
 
 @pytest.fixture
 def python_path(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels import the surefoot that is tested."""
+    """Let notebook kernels import the tested surefoot."""
     source = str(Path(importlib.util.find_spec("surefoot").origin).parents[1])
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([source, os.environ.get("PYTHONPATH", "")]))
 
@@ -53,7 +53,7 @@ def test_the_notebook_runs_from_beginning_to_end(tmp_path: Path):
     assert not list(tmp_path.glob("*.mp4"))
 
 
-def test_sb3_trains_and_its_policy_file_is_measured(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_sb3_trains_a_policy_that_is_exported_and_evaluated(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     pytest.importorskip("stable_baselines3")
     spec = importlib.util.spec_from_file_location("sb3_example", EXAMPLES / "sb3.py")
     module = importlib.util.module_from_spec(spec)

@@ -1,4 +1,4 @@
-"""Dependencies of the install: the bare one fits the robot's computer, and every version is pinned."""
+"""Dependencies: the bare install is suitable for the robot's computer, and every version is pinned."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ EXTRAS = {extra: [Requirement(line) for line in lines] for extra, lines in PROJE
 DIRECT = [r for r in [*BARE, *(r for lines in EXTRAS.values() for r in lines)] if r.name != PROJECT["name"]]
 
 NOT_ON_THE_ROBOT = {"torch", "mujoco", "mujoco-core", "numba", "gymnasium", "rsl-rl-lib", "pybullet", "scipy", "pandas"}
-LEFT_TO_TORCH = ("nvidia-", "cuda-", "triton", "pytorch-triton")  # what a GPU build of torch adds for itself
+LEFT_TO_TORCH = ("nvidia-", "cuda-", "triton", "pytorch-triton")  # dependencies of a GPU build of torch
 LARGEST_FILE = 5_000_000  # bytes
 
 
 def pins() -> dict[str, str]:
-    """Return the version of each distribution that constraints.txt pins."""
+    """Return the version of each distribution pinned in constraints.txt."""
     lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
     pinned = [line.split("==") for line in lines if line and not line.startswith("#")]
     return {canonicalize_name(name): version for name, version in pinned}
 
 
 def needed(roots: Iterable[Requirement]) -> dict[str, bool]:
-    """Return every distribution that requirements lead to here, with whether it is installed."""
+    """Return all direct and indirect distributions of requirements, and whether each is installed."""
     todo = list(roots)
     seen: set[tuple[str, frozenset[str]]] = set()
     importable: dict[str, bool] = {}
@@ -56,14 +56,14 @@ def needed(roots: Iterable[Requirement]) -> dict[str, bool]:
     return importable
 
 
-def test_the_bare_install_brings_neither_simulation_nor_learning():
+def test_the_bare_install_includes_neither_simulation_nor_learning():
     importable = needed(BARE)
     assert all(importable.values()), f"not installed: {[name for name, here in importable.items() if not here]}"
     assert not NOT_ON_THE_ROBOT & set(importable)
     assert not [name for name in importable if name.startswith(LEFT_TO_TORCH)]
 
 
-def test_the_sim_extra_brings_no_learning():
+def test_the_sim_extra_does_not_include_learning():
     assert "torch" not in needed(EXTRAS["sim"])
 
 

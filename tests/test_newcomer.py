@@ -1,4 +1,4 @@
-"""A newcomer's first commands: the wheel in a fresh environment, an own robot from a file, and all of it moved."""
+"""First commands of a new user: the wheel in a fresh environment, import of a robot, and a moved folder."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ BOX = "\n".join(
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The script of a wheel that is installed in an environment of its own, beside this one's other packages."""
+    """Script of a wheel installed in a separate environment, which shares the other packages of this one."""
     folder = tmp_path_factory.mktemp("wheel")
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", folder, ROOT]
@@ -54,7 +54,7 @@ def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def _share_kernels(package: Path) -> None:
-    """Give the installed package the compiled kernels of the sources, where both are equal; saves half a minute."""
+    """Copy compiled kernels of unchanged modules to the installed package, which saves half a minute."""
     for source in SOURCE.rglob("*.py"):
         copy = package / source.relative_to(SOURCE)
         if copy.is_file() and copy.read_bytes() == source.read_bytes():
@@ -66,7 +66,7 @@ def _share_kernels(package: Path) -> None:
             shutil.copy2(cached, target)
 
 
-def test_from_a_file_to_a_gait_that_is_moved_to_another_folder(program: Path, tmp_path: Path):
+def test_a_robot_is_imported_trained_and_moved_to_another_folder(program: Path, tmp_path: Path):
     home = tmp_path / "first hour"
     home.mkdir()
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}

@@ -1,4 +1,4 @@
-"""Commands and Python blocks of pages run as a reader types them, in an empty folder."""
+"""Commands and Python blocks of pages run in an empty folder, as a reader would enter them."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SMALLER = {
     "surefoot.evaluate(policy)": "surefoot.evaluate(policy, episodes=1)",
     "surefoot.play(run)": "surefoot.play(run, duration=0.2)",
 }
-"""What makes Python of pages quick."""
+"""Replacements that shorten Python blocks of pages."""
 
 SQUARE = "time,forward,sideways,yaw_rate\n0,0.5,0,0\n1,0,0,0.5\n"
 
@@ -38,7 +38,7 @@ def test_options_make_commands_short():
 
 
 def reader(folder: Path, page: str, **options: Any) -> PageRun:
-    """Return a reader in a folder with the files that pages take as there."""
+    """Return a run of a page in a folder with the files that pages presuppose."""
     (folder / "data").symlink_to(ROOT / "data")
     (folder / "square.csv").write_text(SQUARE)
     shutil.copy(RobotDescription.load("solo8").urdf.path, folder / "mine.urdf")
@@ -70,7 +70,7 @@ PAGES: dict[str, dict[str, Any]] = {
         }
     },
 }
-"""Pages, and what their commands need."""
+"""Pages, and the requirements of their commands."""
 
 
 @pytest.mark.slow
@@ -112,7 +112,7 @@ def test_python_of_the_python_page_runs(tmp_path: Path, monkeypatch: pytest.Monk
         assert (tmp_path / name).is_file()
 
 
-def test_commands_are_sent_as_the_page_shows():
+def test_commands_are_sent_as_shown_on_the_page():
     from surefoot.deploy.command_sources import ChannelCommands
 
     (code,) = (code for code in fenced("watch.md", "python") if "send_command" in code)

@@ -1,4 +1,4 @@
-"""Pages of the documentation are in the site's navigation, and rows of evaluations are those that are declared."""
+"""Documentation pages are in the site's navigation, and rows of evaluations match their declarations."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def load_script(path: str) -> ModuleType:
     return module
 
 
-def test_evaluations_are_of_the_policies_and_options_that_are_named():
+def test_evaluations_match_the_declared_policies_and_options():
     script = load_script("benchmarks/evaluations.py")
     names = read_yaml(script.NAMES)
     named = script.named_rows(names)
@@ -40,7 +40,7 @@ def test_evaluations_are_of_the_policies_and_options_that_are_named():
 
 
 def test_every_page_is_in_the_navigation():
-    """`make docs` refuses others; it is no part of `make test`."""
+    """`make docs` would also reject missing pages, but is not part of `make test`."""
     listed = re.findall(r"[\w/-]+\.md", (ROOT / "mkdocs.yml").read_text())
     pages = {path.relative_to(ROOT / "docs").as_posix() for path in (ROOT / "docs").rglob("*.md")}
     packages = {f"reference/{path.parent.name}.md" for path in ROOT.glob("src/surefoot/*/__init__.py")}

@@ -1,4 +1,4 @@
-"""What protects a reader of the pages: links resolve, commands and options exist, and README's commands run."""
+"""Checks of the pages: links resolve, commands and options exist, and README's commands run."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from pathlib import Path
 import pytest
 from markdown_pages import PAGES, ROOT, anchors, blocks, commands, dead_links, lines, links
 from page_commands import shortened
-from processes import Emulator, emulators, served, surefoot
+from processes import Emulator, emulators, serve_page, surefoot
 
 from surefoot.cli.main import COMMANDS
 
 README = ROOT / "README.md"
 NO_COMMANDS = ("needs", "COMMAND", "1")
-"""Second words of messages and of examples of a protocol that begin with the program's name."""
+"""Second words of messages and protocol examples that start with the program's name."""
 
 
 def names(paths: list[Path]) -> list[str]:
@@ -66,7 +66,7 @@ def test_a_missing_file_and_a_missing_heading_are_dead_links(tmp_path: Path):
 
 @pytest.mark.parametrize("page", ["README.md", "docs/why.md"])
 def test_links_of_a_page_resolve_in_the_site(page: str):
-    """The site has docs/, README and the files that tools/site_hooks.py adds."""
+    """The site consists of docs/, README and the files added by tools/site_hooks.py."""
     tree = ast.parse((ROOT / "tools" / "site_hooks.py").read_text(encoding="utf-8"))
     (outside,) = (
         ast.literal_eval(node.value)
@@ -79,7 +79,7 @@ def test_links_of_a_page_resolve_in_the_site(page: str):
 
 
 def forms(command: str) -> Iterator[tuple[str, ...]]:
-    """Yield the words of a command that have a help of their own."""
+    """Yield the leading words of a command that have a separate help."""
     yield (command,)
     yield from {
         "train": [("train", "trot")],
@@ -96,7 +96,7 @@ def usage(*words: str) -> str:
 
 
 def actions(command: str) -> list[str]:
-    """Return the actions and experiments that the help of a command lists."""
+    """Return the subcommands and experiments listed in the help of a command."""
     text = usage(command)
     return re.findall(r"^  ([a-z][a-z-]+) ", text, re.MULTILINE) if re.search("ACTION|EXPERIMENT", text) else []
 
@@ -109,7 +109,7 @@ def options(command: str) -> set[str]:
 
 
 def unknown(line: str) -> list[str]:
-    """Return the words of a command line that name no command, action or option."""
+    """Return the words of a command line that are not a command, subcommand or option."""
     from surefoot.robot.params import PARAMETERS
     from surefoot.task.reward import TERMS
 
@@ -142,7 +142,7 @@ def unknown(line: str) -> list[str]:
         ),
     ],
 )
-def test_commands_and_options_that_do_not_exist_are_found(line: str, found: list[str]):
+def test_unknown_commands_and_options_are_detected(line: str, found: list[str]):
     pytest.importorskip("mujoco")
     assert unknown(line) == found
 
@@ -176,7 +176,7 @@ def test_make_targets_extras_and_python_of_readme_exist():
 
 @pytest.mark.slow
 def test_commands_of_readme_run_in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    """Trainings are short; a robot on the network interface is not there."""
+    """Trainings are shortened, and there is no robot on the network interface."""
     for package in ("torch", "mujoco", "viser", "cyclonedds"):
         pytest.importorskip(package)
     from surefoot.robot import RobotDescription
@@ -189,7 +189,7 @@ def test_commands_of_readme_run_in_an_empty_folder(tmp_path: Path, monkeypatch: 
         _, command, *words = shlex.split(line)
         words = [word for one in words for word in (glob.glob(one) if "*" in one else [one])]
         if command == "drive":
-            with served(command, *words, cwd=tmp_path) as address:
+            with serve_page(command, *words, cwd=tmp_path) as address:
                 assert urllib.request.urlopen(address).status == 200
         elif command == "emulate":
             with emulators(Emulator) as start:
@@ -205,13 +205,13 @@ def test_commands_of_readme_run_in_an_empty_folder(tmp_path: Path, monkeypatch: 
     assert set(ran) >= {"drive", "train", "show", "robot", "adopt", "doctor", "emulate"}
 
 
-def test_no_page_and_no_message_installs_from_an_index():
+def test_no_page_installs_from_a_package_index():
     files = [README, *ROOT.glob("docs/*.md"), *ROOT.glob("examples/*.ipynb")]
     wrong = [path.name for path in files if re.search(r"pip install '?\"?surefoot", path.read_text(encoding="utf-8"))]
     assert wrong == []
 
 
-def test_messages_in_troubleshooting_are_those_of_the_code():
+def test_messages_in_troubleshooting_exist_in_the_code():
     symptoms = re.findall(r"^- \*\*(.*)\*\*", (ROOT / "docs" / "troubleshooting.md").read_text("utf-8"), re.MULTILINE)
     messages = [message for line in symptoms for message in re.findall(r"`([^`]+)`", line) if " " in message]
     files = [*ROOT.glob("src/**/*.py"), ROOT / "Makefile"]

@@ -1,4 +1,4 @@
-"""results/README.md leads to everything that was measured, and all links between pages of results resolve."""
+"""results/README.md links all measurements, and all links between pages of results resolve."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RESULTS = ROOT / "results"
 
 
 def missing(results: Path) -> list[str]:
-    """Return folders and files of results that the index does not link."""
+    """Return folders and files of results that are not linked in the index."""
     linked = {link.split("/")[0] for link in links((results / "README.md").read_text(encoding="utf-8"))}
     return sorted(path.name for path in results.iterdir() if path.name != "README.md" and path.name not in linked)
 
@@ -29,7 +29,7 @@ def test_every_folder_has_a_page():
     assert [path.name for path in RESULTS.iterdir() if path.is_dir() and not (path / "README.md").is_file()] == []
 
 
-def test_a_forgotten_folder_and_a_dead_link_are_found(tmp_path: Path):
+def test_a_missing_folder_and_a_dead_link_are_detected(tmp_path: Path):
     (tmp_path / "runs").mkdir()
     (tmp_path / "old").mkdir()
     (tmp_path / "power.csv").touch()

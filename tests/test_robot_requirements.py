@@ -1,4 +1,4 @@
-"""What runs on the robot's computer is what `robot-requirements.txt` says: version, licence and files."""
+"""Packages on the robot's computer match `robot-requirements.txt`: version, licence and files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FREE = re.compile(r"MIT|BSD|Apache|PSF|EPL-2\.0|Zlib", re.IGNORECASE)
 
 
 class Entry(NamedTuple):
-    """A line of the file."""
+    """Line of the file."""
 
     version: str
     licence: str
@@ -43,13 +43,13 @@ def licence_of(name: str) -> str:
     text = about.get("License-Expression") or about.get("License") or ""
     if text and "\n" not in text:
         return text
-    # Some put the whole text there; its name is among the classifiers, or is its first line.
+    # Some packages put the whole text here; the name is in the classifiers, or in the first line.
     named = [line.split(" :: ")[-1] for line in about.get_all("Classifier") or [] if line.startswith("License")]
     return named[0] if named else text.splitlines()[0]
 
 
 def recorded(name: str) -> list[tuple[str, str]]:
-    """Return name and hash of each file that a wheel installed, without what pip and Python add."""
+    """Return name and hash of each file installed by a wheel, without files added by pip and Python."""
     text = metadata.distribution(name).read_text("RECORD") or ""
     added = ("INSTALLER", "REQUESTED", "direct_url.json")
     return sorted(
@@ -60,18 +60,18 @@ def recorded(name: str) -> list[tuple[str, str]]:
 
 
 def files_digest(files: list[tuple[str, str]]) -> str:
-    """Return the start of the SHA-256 of names and hashes, a line each."""
+    """Return the start of the SHA-256 of lines with names and hashes."""
     return hashlib.sha256("\n".join(f"{path} {digest}" for path, digest in files).encode()).hexdigest()[:32]
 
 
-def test_the_list_has_the_bare_install_and_the_link_to_a_go2_in_the_pinned_versions():
+def test_the_list_contains_the_bare_install_and_the_go2_link_in_pinned_versions():
     listed = entries()
     assert set(listed) == {*map(canonicalize_name, needed(BARE)), DDS}
     assert {name: entry.version for name, entry in listed.items()} == {name: pins()[name] for name in listed}
 
 
 @pytest.mark.parametrize("name", entries())
-def test_an_installed_package_is_the_listed_one(name: str):
+def test_an_installed_package_matches_the_list(name: str):
     try:
         found = metadata.distribution(name)
     except metadata.PackageNotFoundError:
@@ -96,7 +96,7 @@ def test_a_file_that_differs_changes_the_digest():
     assert files_digest(files) != files_digest([(files[0][0], "sha256=other"), *files[1:]])
 
 
-def test_what_is_republished_is_described_with_what_depends_on_it():
+def test_republished_packages_are_described_with_their_dependents():
     page = (ROOT / "docs" / "dependencies.md").read_text(encoding="utf-8")
     (row,) = [line for line in page.splitlines() if line.startswith(f"| `{DDS}` {entries()[DDS].version} ")]
     assert "every motor command" in row

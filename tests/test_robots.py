@@ -1,4 +1,4 @@
-"""Every robot that ships: kinematics, standing in both engines, ranges, a policy, a video, the emulator, deployment."""
+"""Every released robot: kinematics, standing in both engines, ranges, a policy, a video, the emulator, deployment."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ for module in ("mujoco", "torch", "imageio_ffmpeg"):
     pytest.importorskip(module)
 
 from fault_bench import QUICK  # noqa: E402
-from processes import EmulatorHere, emulators, refused, surefoot  # noqa: E402
+from processes import EmulatorHere, assert_rejected, emulators, surefoot  # noqa: E402
 
 from surefoot.evaluation.sensitivity import make_test_worlds  # noqa: E402
 from surefoot.learn.config import load_train_config  # noqa: E402
@@ -29,18 +29,18 @@ from surefoot.world.sim_world import SimWorld  # noqa: E402
 
 @pytest.fixture(scope="module", params=RobotDescription.available())
 def robot(request: pytest.FixtureRequest) -> RobotDescription:
-    """Give each robot that ships."""
+    """Return each released robot."""
     return RobotDescription.load(request.param)
 
 
 @pytest.fixture(scope="module")
 def policy(robot: RobotDescription, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Make the file of a trot that has learned nothing: it follows the reference."""
+    """Write an untrained trot, which follows the reference."""
     config = replace(load_train_config("trot", robot.name), num_envs=2, threads=1)
     return PpoLearner(config, SimWorld).export(tmp_path_factory.mktemp(robot.name) / "untrained.onnx")
 
 
-def test_a_robot_stands_alike_in_both_engines(robot: RobotDescription) -> None:
+def test_a_robot_stands_equally_in_both_engines(robot: RobotDescription) -> None:
     pytest.importorskip("pybullet")
     stood = []
     for world in (SimWorld(robot, 1, engine=engine) for engine in ("mujoco", "bullet")):
@@ -56,7 +56,7 @@ def test_a_robot_stands_alike_in_both_engines(robot: RobotDescription) -> None:
     assert masses == pytest.approx(robot.urdf.total_mass, rel=1e-9)
 
 
-def test_table_1_can_be_drawn_and_set(robot: RobotDescription) -> None:
+def test_parameters_can_be_randomized_within_table_1(robot: RobotDescription) -> None:
     ranges = load_ranges("table1", robot=robot.name)
     worlds = make_test_worlds(ranges, PhysicalParams.nominal(robot), 2)
     assert {row for row, *_ in worlds} == set(ranges)
@@ -69,7 +69,7 @@ def test_table_1_can_be_drawn_and_set(robot: RobotDescription) -> None:
 
 @pytest.fixture
 def emulate() -> Iterator[object]:
-    """Start emulators that end with the test, whose robots stand up soon."""
+    """Start emulators whose robots stand up quickly, and which are ended with the test."""
     with mock.patch.multiple("surefoot.deploy.motion_runner", **QUICK), emulators(EmulatorHere) as start:
         yield start
 
@@ -89,7 +89,7 @@ def test_a_policy_is_evaluated_played_and_deployed(robot, policy, emulate, tmp_p
     assert run["ended"] in ("time", "fall")
 
 
-def test_identification_runs_or_refuses_in_one_line(robot: RobotDescription, tmp_path: Path) -> None:
+def test_identification_runs_or_rejects_in_one_line(robot: RobotDescription, tmp_path: Path) -> None:
     result = surefoot("identify", "motor", "--robot", robot.name, "--port", "none", cwd=tmp_path)
-    message = "say so with --yes" if robot.name == "minitaur" else robot.name
-    refused(result, message)
+    message = "confirm it with --yes" if robot.name == "minitaur" else robot.name
+    assert_rejected(result, message)

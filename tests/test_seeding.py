@@ -1,4 +1,4 @@
-"""Named streams of random numbers."""
+"""Random generators by seed, name and index."""
 
 from __future__ import annotations
 

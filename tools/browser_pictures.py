@@ -1,4 +1,4 @@
-"""Take the pictures of surefoot's pages with a real browser: PYTHONPATH=tests python tools/browser_pictures.py."""
+"""Take screenshots of surefoot's pages with a real browser: PYTHONPATH=tests python tools/browser_pictures.py."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ FOLDER = Path(__file__).resolve().parents[1] / "docs"
 SUREFOOT = (sys.executable, "-m", "surefoot")
 WIDE = {"width": 1280, "height": 800}
 LOADING = 20_000
-"""Time [ms] in which a browser without graphics hardware has loaded the stairs."""
+"""Time [ms] for a browser without graphics hardware to load the stairs."""
 
 
 @contextmanager
 def running(*words: str) -> Iterator[str]:
-    """Run a command; give what its first line says behind the last blank, an address or a port."""
+    """Run a command; yield the address or port in its first line of output."""
     process = subprocess.Popen([*SUREFOOT, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     assert process.stdout is not None
     try:
@@ -38,7 +38,9 @@ if __name__ == "__main__":
             page = browser.new_page(viewport=WIDE)
             page.goto(address)
             page.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
-            page.wait_for_timeout(LOADING)
+            for _ in range(LOADING):
+                page.wait_for_timeout(5000)
+                page.screenshot()
             hold_stick(page, 0.25, 0.0)
             page.wait_for_timeout(5500)
             page.screenshot(path=FOLDER / "drive-wide.png")

@@ -1,6 +1,6 @@
-"""Make docs/gallery.html: policies that ship, for some seconds on flat ground, on one page that opens without surefoot.
+"""Write docs/gallery.html: short runs of the released policies on flat ground, on a page that opens without surefoot.
 
-Run it when a policy changes: python tools/gallery.py
+Run it after a policy has changed: python tools/gallery.py
 """
 
 from __future__ import annotations
@@ -15,19 +15,20 @@ from surefoot.report.pages.recorded_runs import ShownTrace, recording_page
 
 SECONDS = 5.0
 ELSEWHERE = {"go2-terrain", "go2-terrain-seeing"}
-"""Policies for other ground, which docs/terrain.md speaks of."""
+"""Policies for terrain, which docs/terrain.md describes."""
 STEPS = ((0.0, 0.7, 0.0, 0.0), (1.7, 0.5, 0.0, 0.8), (3.4, 0.0, 0.8, 0.0))
-"""Commands of steered policies: start [s], and shares of the greatest forward, left and yaw rate."""
+"""Commands of steered policies: start [s], and fractions of the maximum forward speed, sideways speed and yaw rate."""
 
 
 def recorded(name: str, push_force: tuple[float, float] | None = None) -> ShownTrace:
-    """Return a run of a policy that ships, with pushes if their least and greatest force [N] is given."""
+    """Return a run of a released policy, with pushes if their minimum and maximum force [N] are given."""
     policy, robot, task = load_policy(find_policy(name), None)
     task = Condition(push_force=push_force, duration=SECONDS).apply(task, robot)
     if (limits := task.commands.limits(robot)) is not None:
-        most = (limits.forward[1], limits.sideways[1], limits.yaw_rate[1])
+        maxima = (limits.forward[1], limits.sideways[1], limits.yaw_rate[1])
         rows = tuple(
-            (begin, *(share * top for share, top in zip(shares, most, strict=True))) for begin, *shares in STEPS
+            (begin, *(fraction * top for fraction, top in zip(fractions, maxima, strict=True)))
+            for begin, *fractions in STEPS
         )
         task = replace(task, commands=replace(task.commands, schedule=rows))
     (trace,) = run_policy(policy, task, 1, "mujoco", seed=0, name=name)

@@ -1,4 +1,4 @@
-"""The paper on one page: each of its tables, figures and numbers beside surefoot's, read from files of results."""
+"""Page that compares the paper's tables, figures and numbers with surefoot's results, which are read from files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from result_numbers import BRACES, NotMeasured, cell, substitute
 from surefoot.configuration import from_mapping, read_yaml
 from surefoot.errors import prefix_errors
 from surefoot.files import atomic_write
-from surefoot.report.pages.html import page, picture, row
+from surefoot.report.pages.html import image, page, row
 
 CONTENT = Path(__file__).with_name("paper.yaml")
 NOT_MEASURED = "not measured"
@@ -26,41 +26,41 @@ VERDICTS = {
     "differs": "Differs",
     "untestable": "Not testable without a robot",
 }
-"""Classes of the scorecard in its order, with their titles."""
+"""Classes of the scorecard in order, with their titles."""
 _MAX_NUMBER = 30
-"""Characters of a cell beside numbers; a longer one is folded as text."""
+"""Maximum number of characters of a numeric cell; a longer cell is wrapped as text."""
 
 
 @dataclass(frozen=True)
 class PaperClaim:
-    """A claim of the paper, and whether surefoot reproduces it."""
+    """Claim of the paper, and whether surefoot reproduces it."""
 
     claim: str
     verdict: Literal["reproduced", "same", "mixed", "differs", "untestable"]
     surefoot: str
-    """What surefoot found; numbers as in `result_numbers.fill`."""
+    """surefoot's result; numbers as in `result_numbers.fill`."""
     where: str
-    """Page that has the measurement, relative to `docs`."""
+    """Page with the measurement, relative to `docs`."""
     readme: str = ""
-    """Words of README about it, in a sentence with the name of its class; empty if README leaves it out."""
+    """Words about it in README, in a sentence with the name of its class; empty if README leaves it out."""
 
 
 @dataclass(frozen=True)
 class PaperItem:
-    """One line of the comparison."""
+    """Line of the comparison."""
 
     what: str
     paper: str
     """The paper's number with its unit, or its words."""
     surefoot: str
-    """surefoot's, with numbers as in `result_numbers.fill`."""
+    """surefoot's number or words, with numbers as in `result_numbers.fill`."""
     how: str = ""
-    """How surefoot's was measured: episodes, seeds, what the interval is over."""
+    """Measurement of surefoot's number: episodes, seeds, and the samples of the interval."""
     each: tuple[str, ...] = ()
-    """The line stands there once for each: {0} is what comes before ` = `, {1} what follows."""
+    """The line is repeated for each entry: {0} is the text before ` = `, {1} the text after it."""
 
     def lines(self) -> list[PaperItem]:
-        """Return one item for each."""
+        """Return one item per entry of `each`."""
         return [
             replace(self, what=substitute(self.what, one), surefoot=substitute(self.surefoot, one), each=())
             for one in self.each or [""]
@@ -69,15 +69,15 @@ class PaperItem:
 
 @dataclass(frozen=True)
 class PaperPicture:
-    """A picture of surefoot beside a figure of the paper."""
+    """surefoot's counterpart of a figure of the paper."""
 
     file: str
-    """Path from the root of the repository; with a * in it, a picture for each file that matches."""
+    """Path relative to the root of the repository; with a *, one picture per matching file."""
     caption: str
-    """Caption; a * is replaced by the text that matches that of the path."""
+    """Caption; a * is replaced by the text that matches the * in the path."""
 
     def find_files(self, root: Path) -> list[tuple[Path, str]]:
-        """Return the files that are there, each with its caption."""
+        """Return the existing files with their captions."""
         start, _, end = self.file.partition("*")
         paths = [path for path in sorted(root.glob(self.file)) if path.is_file()]
         names = [path.relative_to(root).as_posix().removeprefix(start).removesuffix(end) for path in paths]
@@ -86,7 +86,7 @@ class PaperPicture:
 
 @dataclass(frozen=True)
 class PaperSection:
-    """A table, figure or claim of the paper."""
+    """Section about a table, figure or claim of the paper."""
 
     title: str
     paper: str
@@ -112,7 +112,7 @@ class PaperContent:
 
 
 def evaluations_on_page() -> list[str]:
-    """Return the rows of `results/evaluations.csv` that the page's sections show, such as `trot/ensemble-test`."""
+    """Return the names of rows of `results/evaluations.csv` that the page uses, such as `trot/ensemble-test`."""
     sections = load_content().sections
     texts = [line.surefoot for section in sections for item in section.items for line in item.lines()]
     texts += [section.surefoot for section in sections]
@@ -127,7 +127,7 @@ def load_content() -> PaperContent:
 
 
 def claims(root: Path, verdict: str, missing: list[str]) -> list[tuple[str, str, str]]:
-    """Return claim, finding and page of each claim with a verdict."""
+    """Return claim, result and page of each claim with a verdict."""
     return [
         (one.claim, _fill(root, one.surefoot, missing), one.where)
         for one in load_content().claims
@@ -153,16 +153,16 @@ def claims_summary() -> str:
 
 
 def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None) -> list[str]:
-    """Write the page; return the files of results that are missing.
+    """Write the page; return the names of missing result files.
 
     Args:
         root: folder with `results`, `docs` and `policies`.
-        path: the page (.html).
-        note: remark on all results, at the top.
-        clone: folder of the results that the verdicts on the paper's claims are about; `root`, if not given.
+        path: path of the page (.html).
+        note: remark about all results, at the top.
+        clone: folder with the results for the scorecard; defaults to `root`.
 
     Raises:
-        SurefootError: a file of results that can't be read, or has no such row or number.
+        SurefootError: a result file can't be read, or lacks a row or number.
     """
     content = load_content()
     missing: list[str] = []
@@ -193,7 +193,7 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
             for item in section.items:
                 lines += [_line(root, one, missing) for one in item.lines()]
             for k in range(len(lines) - 1, 1, -1):
-                lines[k] = (*lines[k][:-1], "likewise") if lines[k][-1] == lines[k - 1][-1] != "" else lines[k]
+                lines[k] = (*lines[k][:-1], "as above") if lines[k][-1] == lines[k - 1][-1] != "" else lines[k]
             columns = [k for k in range(len(lines[0])) if any(line[k] for line in lines[1:])]
             kinds = [
                 "".join("n" if k in (1, 2) and len(line[k]) < _MAX_NUMBER else "t" for k in columns) for line in lines
@@ -202,8 +202,8 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
         for one in section.pictures:
             files = one.find_files(root)
             for source, caption in files:
-                image = picture(source.read_bytes(), caption)
-                parts.append(f"<figure>{image}<figcaption class=quiet>{escape(caption)}</figcaption></figure>")
+                figure = image(source.read_bytes(), caption)
+                parts.append(f"<figure>{figure}<figcaption class=quiet>{escape(caption)}</figcaption></figure>")
             if not files:
                 missing.append(one.file)
         parts += [f"<p><code>{escape(command)}</code></p>" for command in section.commands]
@@ -213,25 +213,25 @@ def write_page(root: Path, path: Path, note: str = "", clone: Path | None = None
 
 
 def _shown(where: str) -> str:
-    """Return the path of a page from the root of the repository."""
+    """Return the path of a page relative to the root of the repository."""
     name = where.partition("#")[0]
     return name.removeprefix("../").removesuffix("/README.md") if name.startswith("../") else f"docs/{name}"
 
 
 def _table(rows: Sequence[Sequence[str]], kinds: Sequence[str]) -> str:
-    """Return a table that scrolls where it is too wide; the first row is its head."""
+    """Return a table that scrolls if it is too wide; the first row is its header."""
     lines = (row(*both, "td" if i else "th") for i, both in enumerate(zip(rows, kinds, strict=True)))
     return f"<div class=wide><table>{''.join(lines)}</table></div>"
 
 
 def _contents(titles: Sequence[str]) -> str:
-    """Return the list of contents: links to the sections."""
+    """Return the table of contents with links to the sections."""
     links = (f'<li><a href="#s{number}">{escape(title)}</a></li>' for number, title in enumerate(titles, start=1))
     return f"<nav aria-label=Contents><ul>{''.join(links)}</ul></nav>"
 
 
 def _fill(root: Path, text: str, missing: list[str]) -> str:
-    """Return a text with numbers of results; what is not there is added to `missing`."""
+    """Return a text with numbers of results filled in; missing files are added to `missing`."""
 
     def number(match: re.Match[str]) -> str:
         try:
@@ -252,9 +252,9 @@ def _line(root: Path, item: PaperItem, missing: list[str]) -> tuple[str, ...]:
 
 
 def difference(paper: str, surefoot: str) -> str:
-    """Return the difference of two numbers with the same unit in words, such as `25% less`; nothing for other texts.
+    """Return the difference of two numbers with the same unit in words, such as `25% less`; empty for other texts.
 
-    Whatever stands between number and unit, ± or an interval, is surefoot's uncertainty.
+    Text between number and unit (± or an interval) is surefoot's uncertainty.
     """
     one = re.fullmatch(r"(\d*\.?\d+)( \D\S*)?", paper)
     other = re.fullmatch(r"(-?\d*\.?\d+)(?: ± \S+| \[(\S+), (\S+)\])?( \D\S*)?", surefoot)
@@ -262,7 +262,7 @@ def difference(paper: str, surefoot: str) -> str:
         return ""
     expected, measured = float(one[1]), float(other[1])
     if other[2] and float(other[2]) <= expected <= float(other[3]):
-        return "the interval holds the paper's"
+        return "the interval contains the paper's value"
     change = measured / expected - 1
     if abs(change) < 0.005:
         return "the same"
@@ -274,7 +274,7 @@ def _all_differences(root: Path) -> list[str]:
     path = root / "docs" / "paper-differences.md"
     if not path.is_file():
         return []
-    # Every section's table has a head of its own; here it is a row of one table, with the section's title.
+    # Every section's table has its own header, which becomes a row with the section's title in a single table.
     text = re.sub(r"^## (.+)\n\n\| [^|]+\|", r"| **\1** |", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
     lines = [line.strip("|").split("|") for line in text.splitlines() if line[:2] == "| "]
     cells = [[_inline(cell.strip()) for cell in line] for line in lines]

@@ -1,4 +1,4 @@
-"""The runs behind the page of the paper: all commands in order; those whose result is there are skipped.
+"""Runs for the page of the paper: all commands in order, without those whose result already exists.
 
 `surefoot study paper` calls `main`.
 """
@@ -29,13 +29,13 @@ from surefoot.files import atomic_write
 from surefoot.tables import write_csv
 
 QUICK_NOTE = (
-    "A small version of everything, made in one go: short trainings of one seed, few trials. It shows that all "
-    "parts work, and no more: the column 'how measured' describes the full version."
+    "A small version of everything from a single call: short trainings with one seed, few trials. It only shows that "
+    "all parts work; the column 'how measured' describes the full version."
 )
 POLICIES = ("gallop", "trot", "trot-robust", "gallop-robust")
-"""Tasks whose policies stand on the page."""
+"""Tasks whose policies are on the page."""
 HYBRIDS = ("trot-hybrid", "gallop-hybrid")
-"""Tasks of the clone's examples: learned feedback on top of handcrafted trajectories."""
+"""Tasks in the clone's examples: learned feedback on top of handcrafted trajectories."""
 _PICTURES = ("learning_curve.png", "footfalls.png")
 
 
@@ -44,24 +44,24 @@ class PaperRuns:
     """Settings of the runs."""
 
     root: Path
-    """A clone of surefoot: its studies and benchmarks."""
+    """Folder of a clone of surefoot, for its studies and benchmarks."""
     folder: Path
-    """Folder for all results."""
+    """Folder of all results."""
     quick: bool
     workers: Workers = 0
     ray: Ray = None
     console: Console = field(default_factory=lambda: make_console(stderr=True))
 
     def workers_options(self) -> list[str]:
-        """Return the options of commands that run many trainings."""
+        """Return the options of commands with parallel trainings."""
         return ["--workers", str(self.workers), *(["--ray", self.ray] if self.ray else [])]
 
     def quick_options(self, *words: object) -> list[str]:
-        """Return the options that make a command small; none for the full version."""
+        """Return the options of a command's small version; empty for the full version."""
         return list(map(str, words)) if self.quick else []
 
     def make_folder(self, name: str) -> Path:
-        """Make a folder in that of the runs; return its path."""
+        """Make a subfolder of the runs' folder; return its path."""
         path = self.folder / name
         path.mkdir(parents=True, exist_ok=True)
         return path
@@ -69,15 +69,20 @@ class PaperRuns:
 
 @dataclass(frozen=True)
 class Stage:
-    """One step of the runs."""
+    """Step of the runs."""
 
     makes: str
-    """File that is there when it is done, from the folder of the runs."""
+    """File that exists when the step is done, relative to the folder of the runs."""
     make: Callable[[PaperRuns], None]
 
 
 def command(runs: PaperRuns, *words: object) -> None:
-    """Run a command of surefoot in the folder of the runs; raise `SurefootError` or `KeyboardInterrupt` if it fails."""
+    """Run a command of surefoot in the folder of the runs.
+
+    Raises:
+        SurefootError: the command failed.
+        KeyboardInterrupt: it was stopped.
+    """
     from surefoot.cli.main import main
 
     argv = [str(word) for word in words]
@@ -91,7 +96,7 @@ def command(runs: PaperRuns, *words: object) -> None:
 
 
 def train(task: str, steps: int) -> Stage:
-    """Train a policy of a task, or resume a run that was stopped; keep file and figures."""
+    """Train a task's policy, or resume an interrupted run; copy the policy file and figures."""
 
     def make(runs: PaperRuns) -> None:
         pattern = f"runs/{task}/*/config.yaml"
@@ -103,7 +108,7 @@ def train(task: str, steps: int) -> Stage:
         (run,) = (path.parent for path in runs.folder.glob(pattern))
         target = runs.make_folder(f"policies/{task}")
         for name in _PICTURES:
-            # A training in which no episode has ended has no curve.
+            # A training without a finished episode has no learning curve.
             if (run / "figures" / name).exists():
                 shutil.copy(run / "figures" / name, target / name)
         shutil.copy(run / "policy.onnx", target.with_suffix(".onnx"))
@@ -112,7 +117,7 @@ def train(task: str, steps: int) -> Stage:
 
 
 def evaluations(runs: PaperRuns) -> None:
-    """Evaluate policies for the rows that the page has, with the options that the clone names for them."""
+    """Evaluate policies for the page's rows, with the options in the clone's results/evaluations.yaml."""
     names, rows = read_yaml(runs.root / "results" / "evaluations.yaml"), []
     for name in evaluations_on_page():
         policy, _, kind = name.partition("/")
@@ -129,7 +134,7 @@ def evaluations(runs: PaperRuns) -> None:
 
 
 def motor_figure(runs: PaperRuns) -> None:
-    """Fit both models of the motor to a motor with friction in Bullet."""
+    """Fit both motor models to a motor with friction in Bullet."""
     log = "results/motor_log.csv"
     runs.make_folder("results")
     runs.make_folder("docs")
@@ -141,7 +146,7 @@ def motor_figure(runs: PaperRuns) -> None:
 
 
 def pushes_figure(runs: PaperRuns) -> None:
-    """Draw falls over the force of every push."""
+    """Draw falls over the push force."""
     policies = [f"policies/{task}.onnx" for task in POLICIES]
     words = ("--ranges", "none", "--push-force", 0, 220, "--values", 12, "--episodes", 20)
     small = runs.quick_options("--values", 4, "--episodes", 4)
@@ -165,7 +170,7 @@ def tune(gait: str, speed: float) -> Stage:
 
     def make(runs: PaperRuns) -> None:
         runs.make_folder("results/handcrafted")
-        # The gait is written after every generation; the file of this name is of the last one.
+        # The gait is written after every generation; the final name marks the end of the tuning.
         part = Path(makes).with_suffix(".part.yaml")
         small = runs.quick_options("--generations", 12)
         command(runs, "study", "tune", "--gait", gait, "--speed", speed, "--out", part, *small)
@@ -232,16 +237,16 @@ STAGES = (
 
 
 def make_all(runs: PaperRuns) -> bool:
-    """Run the stages whose results are missing; return false if stopped, after which the same call goes on.
+    """Run the stages whose results are missing; return False if interrupted. The same call then continues.
 
     Raises:
-        SurefootError: a command that failed; the results of the others stay.
+        SurefootError: a command failed; other results are kept.
     """
     with describe_os_errors(runs.folder, "made"):
         runs.make_folder("")
     for number, stage in enumerate(STAGES, start=1):
         done = (runs.folder / stage.makes).exists()
-        runs.console.print(f"{number} of {len(STAGES)}: {stage.makes}{': is there' if done else ''}")
+        runs.console.print(f"{number} of {len(STAGES)}: {stage.makes}{': exists' if done else ''}")
         if done:
             continue
         try:
@@ -254,14 +259,14 @@ def make_all(runs: PaperRuns) -> bool:
 
 
 def main(command: PaperCommand, again: str) -> int:
-    """Write the page of a clone's results, or make results anew before; return the exit code.
+    """Write the page of a clone's results, or produce new results first; return the exit code.
 
     Args:
         command: the options.
-        again: command line that goes on after a stop.
+        again: command line that continues after an interruption.
 
     Raises:
-        SurefootError: a command or script that failed, or results that can't be read.
+        SurefootError: a command or script failed, or results can't be read.
     """
     root, page, note = command.root, command.out or Path("paper.html"), ""
     if command.quick or command.full:
@@ -273,11 +278,11 @@ def main(command: PaperCommand, again: str) -> int:
         page = root / "paper.html"
         runs = PaperRuns(command.root.resolve(), root, command.quick, command.workers, command.ray)
         if not make_all(runs):
-            runs.console.print(f"Stopped. To go on:\n  {again}")
+            runs.console.print(f"Stopped. To continue:\n  {again}")
             return 130
         note = QUICK_NOTE if command.quick else ""
     missing = write_page(root, page, note, command.root)
     print(f"wrote {page}")
     for name in missing:
-        print(f"not there: {name}")
+        print(f"missing: {name}")
     return 0

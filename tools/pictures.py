@@ -1,9 +1,9 @@
 """Draw the pictures of robots in the documentation: python tools/pictures.py [FOLDER ...].
 
-They are docs/hero.webp, four policies in motion; docs/gaits.png, moments of a stride; docs/leg-space.png, the
-coordinates of a leg; docs/robots.png, the released robots; docs/terrain.png and docs/terrain-seeing.png, policies on
-terrain; docs/learning.png, errors over minutes of training; and, out of six folders that `surefoot robot new` wrote,
-docs/robots-imported.png.
+They are docs/hero.webp (animation of four policies), docs/gaits.png (moments of a stride), docs/leg-space.png
+(coordinates of a leg), docs/robots.png (released robots), docs/terrain.png and docs/terrain-seeing.png (policies on
+terrain), docs/learning.png (errors over minutes of training), and docs/robots-imported.png, from six folders of
+`surefoot robot new`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from result_numbers import read_rows
 
 from surefoot.api.policies import find_policy, load_policy, run_policy
 from surefoot.evaluation.conditions import Condition
-from surefoot.evaluation.recorded import ground_of
+from surefoot.evaluation.recorded import ground_for_trace
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.renderer import Camera, View, draw
 from surefoot.report.drawing.scene import extent, poses, trace_poses
@@ -36,21 +36,22 @@ ROOT = Path(__file__).resolve().parents[1]
 FOLDER, RESULTS = ROOT / "docs", ROOT / "results"
 MOMENTS = 5
 GAP = 4
-"""Between pictures [px]."""
+"""Space between pictures [px]."""
 BETWEEN, FPS = (0.8, 4.8), 15
-"""What the moving picture shows [s], and its frames a second."""
+"""Start and end of the animation [s], and its frames per second."""
 PUSH = 60.0
-"""Force of its pushes [N]."""
+"""Force of pushes in the animation [N]."""
 RED = (200, 40, 40)
 FAINT = "#c3c8ce"
 """Color of a leg in its other pose."""
 TERRAIN, HOLES = ("stairs:0.12", "slope:20", "rough:0.12", "blocks:0.10"), ("gaps:0.25", "stones:0.25")
-"""Terrain on which policies are shown."""
-ON_IT = 4.0
+"""Terrain in the pictures."""
+TERRAIN_TIME = 4.0
+"""Time of the pictures on terrain after the start [s]."""
 
 
 def sheet(pictures: list[Image.Image], columns: int) -> Image.Image:
-    """Return pictures of one size in rows."""
+    """Return an image with pictures of the same size in rows."""
     width, height = pictures[0].size
     rows = -(-len(pictures) // columns)
     whole = Image.new("RGB", (columns * (width + GAP) - GAP, rows * (height + GAP) - GAP), "white")
@@ -60,7 +61,7 @@ def sheet(pictures: list[Image.Image], columns: int) -> Image.Image:
 
 
 def stride(name: str, size: tuple[int, int]) -> list[Image.Image]:
-    """Return moments of a stride of a policy that ships, after three seconds."""
+    """Return pictures of a stride of a released policy, after three seconds."""
     one = recorded(name)
     placed = trace_poses(one.robot, one.trace)
     mesh, stack = Mesh(one.robot.appearance(), list(placed)), np.stack(list(placed.values()), axis=1)
@@ -74,10 +75,10 @@ def stride(name: str, size: tuple[int, int]) -> list[Image.Image]:
 
 
 def moving(run: ShownTrace, label: str, size: tuple[int, int]) -> Iterator[Image.Image]:
-    """Yield the frames of a run on its terrain, with an arrow for 0.4 s from each push."""
+    """Yield the frames of a run on its terrain, with an arrow for 0.4 s after each push."""
     placed = trace_poses(run.robot, run.trace)
     mesh, stack = Mesh(run.robot.appearance(), list(placed)), np.stack(list(placed.values()), axis=1)
-    base, ground = placed[run.robot.base][:, :3, 3], ground_of(run.trace)
+    base, ground = placed[run.robot.base][:, :3, 3], ground_for_trace(run.trace)
     camera = Camera.for_robot(1.15 * extent(run.robot))
     for now in np.arange(*BETWEEN, 1 / FPS):
         step = int(np.searchsorted(run.trace.time, now))
@@ -132,7 +133,7 @@ def mark_angle(axis: Axes, start: float, end: float, radius: float, color: str, 
 
 
 def leg_space(path: Path) -> None:
-    """Draw the definition of swing and extension for both kinds of legs, and what each of them moves."""
+    """Draw the definition of swing and extension for both kinds of legs."""
     with new_figure(path, (8.6, 4.2), 1, 2) as (_, axes):
         for axis, name, title, (swing, short, long), unit in (
             (axes[0], "minitaur", "Five-bar leg (Minitaur)", (0.45, 1.45, 2.1), " rad"),
@@ -171,7 +172,7 @@ def leg_space(path: Path) -> None:
 
 
 def learning(path: Path) -> None:
-    """Draw errors of Go2 trainings over minutes of two cores: a line for each seed."""
+    """Plot errors of Go2 trainings over minutes on two cores, one line per seed."""
     runs = read_rows(RESULTS / "steer" / "learning.csv", {"robot": "go2", "start": "reference", "threads": "2"})
     with new_figure(path, (7.2, 3.2), 1, 3) as (_, axes):
         for axis, column, title in zip(
@@ -200,7 +201,7 @@ def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
 
 
 def run_on_terrain(policy: str, terrain: str, seconds: float = SECONDS) -> ShownTrace:
-    """Return a run of a policy on a terrain, on its way forward at 0.5 m/s."""
+    """Return a run of a policy on a terrain, forward at 0.5 m/s."""
     controller, robot, task = load_policy(find_policy(policy), None)
     condition = Condition(terrain=terrain, duration=seconds, command_rows=((0.5, 0.0, 0.0),))
     (trace,) = run_policy(controller, condition.apply(task, robot), 1, "mujoco", seed=0, name=policy)
@@ -208,12 +209,14 @@ def run_on_terrain(policy: str, terrain: str, seconds: float = SECONDS) -> Shown
 
 
 def on_terrain(policy: str, terrain: str, size: tuple[int, int]) -> Image.Image:
-    """Return a picture of a policy on a terrain, `ON_IT` seconds after its start."""
-    run = run_on_terrain(policy, terrain, ON_IT)
+    """Return a picture of a policy on a terrain, `TERRAIN_TIME` after its start."""
+    run = run_on_terrain(policy, terrain, TERRAIN_TIME)
     placed = trace_poses(run.robot, run.trace)
     mesh, stack = Mesh(run.robot.appearance(), list(placed)), np.array([frames[-1] for frames in placed.values()])
     place = placed[run.robot.base][-1, :2, 3]
-    picture = draw(mesh, stack, View(Camera.for_robot(1.2 * extent(run.robot)), place, size, ground_of(run.trace)))
+    picture = draw(
+        mesh, stack, View(Camera.for_robot(1.2 * extent(run.robot)), place, size, ground_for_trace(run.trace))
+    )
     write_label(picture, terrain)
     return picture
 

@@ -1,4 +1,4 @@
-"""Draw docs/pipeline.png, the way from a robot's file to a running robot: python tools/pipeline_picture.py."""
+"""Draw docs/pipeline.png, the steps from a robot file to a running robot: python tools/pipeline_picture.py."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BOXES = {
     "robot": (8.5, 0.0, "your robot", GREEN),
     "params": (5.4, 0.0, "identified\nparameters", QUIET),
 }
-"""Middle of each box, its text and colour."""
+"""Center, text and color of each box."""
 ARROWS = (
     ("file", "sheet", "robot new"),
     ("sheet", "policy", "train"),
@@ -31,11 +31,11 @@ ARROWS = (
     ("robot", "params", "identify"),
     ("params", "policy", "train --params"),
 )
-"""Boxes from which and to which a command leads."""
+"""Start and end box of each arrow, and its command."""
 
 
 def edge(box: str, toward: str) -> tuple[float, float]:
-    """Return the point on the border of a box from which an arrow to another one begins."""
+    """Return the point on the border of a box at which an arrow to another box begins."""
     x, y = BOXES[box][:2]
     dx, dy = BOXES[toward][0] - x, BOXES[toward][1] - y
     if dx == 0:

@@ -1,13 +1,13 @@
-"""Write results/NAME/README.md from its template and the files of results that commands wrote.
+"""Write results/NAME/README.md from its template and the result files of commands.
 
     python tools/result_pages.py [NAME ...]     # write the pages that are out of date
-    python tools/result_pages.py --check        # one line for each difference; exit code 1
+    python tools/result_pages.py --check        # print one line per difference; exit code 1
 
 A template, results/NAME/README.template, is Markdown with sources in braces, as in tools/result_numbers.py:
 
     `trot` walks {evaluations trot: speed_mean .2} m/s; {evaluations trot/table1: falls of episodes} episodes fall.
 
-A table has one row for each item of a list; {0} is the item, {1} the text behind its first ` = `, and so on:
+A table has one row per item of a list; {0} is the item, {1} the text after its first ` = `, and so on:
 
     :::table trot, solo8-trot = Solo 8
     | policy | speed [m/s] | falls with table I |
@@ -18,8 +18,8 @@ A table has one row for each item of a list; {0} is the item, {1} the text behin
 Rows without {0} appear once. The list `all of FILE` is the first column of a CSV file. A backslash at the end of a line
 continues it.
 
-Studies and searches have no template: their reports are written again from the tables that the study wrote, with the
-command that stands in the page.
+Studies and searches have no template: their reports are written from the study's tables, with the command in the
+current page.
 """
 
 from __future__ import annotations
@@ -38,13 +38,13 @@ from surefoot.files import atomic_write
 ROOT = Path(__file__).resolve().parents[1]
 TEMPLATES = ("results/*/README.template", "policies/README.template")
 REPORTS = ("from-scratch", "reality-gap", "robustness", "search")
-"""Folders of studies and of a search, below results/; a study's file is studies/NAME.yaml."""
+"""Folders of studies and of a search in results/; a study's file is studies/NAME.yaml."""
 TABLE = re.compile(r"^:::table +(?P<items>[^\n]+)\n(?P<rows>.+?)^:::\n", re.DOTALL | re.MULTILINE)
 CONTINUED = re.compile(r"\\\n *")
 
 
 def table_rows(root: Path, items: str, rows: str) -> str:
-    """Return the rows of a table with the item of each in place of {0}; their sources are not read yet."""
+    """Return the rows of a table with {0} replaced by each item; their sources are not filled in yet."""
     whole = re.fullmatch(r"all of (\S+)", items.strip())
     listed = first_column(find_file(root, whole[1]))[1:] if whole else re.split(r",\s+", items.strip())
     return "".join(
@@ -53,17 +53,17 @@ def table_rows(root: Path, items: str, rows: str) -> str:
 
 
 def write_page(root: Path, template: str) -> str:
-    """Return the page that a template and the files of results make.
+    """Return the page of a template, with numbers from the result files.
 
     Raises:
-        SurefootError: a source that does not exist; the line of the template is named.
+        SurefootError: a source does not exist; the message names the template's paragraph.
     """
     text = CONTINUED.sub("", template)
     written, end = "", 0
     for match in [*TABLE.finditer(text), None]:
         between = text[end : match.start() if match else len(text)]
         table = table_rows(root, match["items"], match["rows"]) if match else ""
-        # A source may go over the end of a line.
+        # A source may continue on the next line.
         for paragraph in re.split(r"(?<=\n)(?=\n)", between + table):
             with prefix_errors(paragraph.strip()[:80].replace("\n", " ")):
                 written += fill(root, paragraph)
@@ -75,7 +75,7 @@ def write_report(root: Path, name: str) -> str:
     """Return the report of a study or a search from its tables.
 
     Raises:
-        SurefootError: the page, which holds the command, or a table is missing.
+        SurefootError: the page with the command, or a table, is missing.
     """
     from surefoot.studies import search_report, study_report
     from surefoot.studies.study_config import load_study
@@ -86,12 +86,12 @@ def write_report(root: Path, name: str) -> str:
         if match is None:
             raise SurefootError(f"{folder / 'README.md'}: has no command")
         if (folder / "search.yaml").is_file():
-            return search_report.text_of_tables(folder, match[1])
-        return study_report.text_of_tables(load_study(root / "studies" / f"{name}.yaml"), folder, match[1])
+            return search_report.report_from_tables(folder, match[1])
+        return study_report.report_from_tables(load_study(root / "studies" / f"{name}.yaml"), folder, match[1])
 
 
 def changes(old: str, new: str) -> list[str]:
-    """Return a line for each line of a page that is out of date."""
+    """Return one line of text for each difference between two versions of a page."""
     matcher = difflib.SequenceMatcher(None, first := old.splitlines(), second := new.splitlines(), autojunk=False)
     return [
         f"{i + 1}: has {' / '.join(first[i:i_end])!r}, the results {' / '.join(second[j:j_end])!r}"
@@ -101,10 +101,10 @@ def changes(old: str, new: str) -> list[str]:
 
 
 def pages(names: list[str]) -> list[Path]:
-    """Return the pages of these folders of results; all of them without names.
+    """Return the pages of result folders; all without names.
 
     Raises:
-        SurefootError: a folder with neither a template nor a report.
+        SurefootError: a folder has neither a template nor a report.
     """
     found = {path.parent.name: path.with_suffix(".md") for one in TEMPLATES for path in sorted(ROOT.glob(one))}
     found |= {name: ROOT / "results" / name / "README.md" for name in REPORTS}

@@ -1,7 +1,7 @@
-"""Additions to mkdocs: files of the repository outside docs/, and pages of reference made from the code.
+"""Hooks of mkdocs: add the repository's files outside docs/, and reference pages that are generated from the code.
 
-Links are written as they hold in the repository. In the site README.md is the first page, docs/ is the root, and all
-other folders keep their paths; links are rewritten to that.
+Links in sources are relative to the repository. In the site, README.md is the first page, docs/ is the root, and all
+other folders keep their paths; links are rewritten accordingly.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from surefoot.columns import columns_of
 from surefoot.configuration import field_bounds
 from surefoot.identify.recording import Recording, RecordingMeta
 from surefoot.learn.config import PPOConfig, TrainConfig
-from surefoot.robot.params import GROUPS, PARAMETERS
+from surefoot.robot.params import PARAMETER_GROUPS, PARAMETERS
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.leg_config import FootConfig, WaveConfig
@@ -76,7 +76,7 @@ CONFIGURATIONS = {
     TrainConfig: "train",
     PPOConfig: "train.ppo",
 }
-"""Dataclasses of a task's file, and the tables in which their fields stand."""
+"""Dataclasses of a task file, and the tables that contain their fields."""
 TYPES = {
     r"^dict.*": "table",
     r"^\w+Config.*": "table",
@@ -87,14 +87,14 @@ TYPES = {
     r"tuple\[str, \.\.\.\]": "list of names",
     r"^tuple.*": "list",
     r"^float": "number",
-    r"^int": "whole number",
+    r"^int": "integer",
     r"^str": "text",
     r"^bool": "true or false",
     r"Optional\[float\]": "number",
     r"^number \| table": "number, or table by leg",
     r"^number \| dict.*": "number, or table by leg",
 }
-"""Words for types of Python, replaced in this order."""
+"""Names of Python types in the reference, replaced in this order."""
 
 
 def docstrings(kind: type) -> dict[str, str]:
@@ -110,7 +110,7 @@ def docstrings(kind: type) -> dict[str, str]:
 
 
 def fields_of(kind: type) -> list[str]:
-    """Return a line for each field of a dataclass: name, type, bounds, default and docstring."""
+    """Return one line per field of a dataclass: name, type, bounds, default and docstring."""
     hints, bounds, texts = typing.get_type_hints(kind), field_bounds(kind), docstrings(kind)
     lines = []
     for item in dataclasses.fields(kind):
@@ -118,9 +118,9 @@ def fields_of(kind: type) -> list[str]:
         about = [re.sub(r"\b(\w+\.)+", "", hint.__name__ if isinstance(hint, type) else str(hint))]
         for pattern, words in TYPES.items():
             about = [re.sub(pattern, words, about[0])]
-        if (within := bounds[item.name]).greatest < 1e12:
-            least, greatest = (f"{round(bound, 5):,.9g}" for bound in (within.least, within.greatest))
-            about.append(f"{'over ' if within.above else ''}{least} to {greatest}")
+        if (within := bounds[item.name]).maximum < 1e12:
+            least, greatest = (f"{round(bound, 5):,.9g}" for bound in (within.minimum, within.maximum))
+            about.append(f"{'over ' if within.exclusive else ''}{least} to {greatest}")
         if dataclasses.is_dataclass(hint):
             about = ["table"]
         elif item.default is not dataclasses.MISSING:
@@ -131,11 +131,11 @@ def fields_of(kind: type) -> list[str]:
 
 
 def task_reference() -> str:
-    """Return the page with every field of a task's file, and what its values can name."""
+    """Return the page with every field of a task file, and the names of reward terms, observations and parameters."""
     text = [
         "# Task configuration",
-        "Every field of a task's YAML file. A file holds only what differs from the defaults, or with "
-        "`base: TASK` from a task that ships. As an option, a field is `--task.FIELD`, and of `train` `--FIELD`: "
+        "Every field of a task's YAML file. A file contains only differences from the defaults or, with `base: TASK`, "
+        "from a released task. The option for a field is `--task.FIELD`, and for a field of `train` `--FIELD`: "
         "`--task.reward.energy -0.004 --ppo.gamma 0.98`.",
     ]
     for kind, table in CONFIGURATIONS.items():
@@ -147,9 +147,9 @@ def task_reference() -> str:
     ]
     text += ["## Observations", "Names in `observations`."]
     text += ["\n".join(f"- `{name}` [{part.unit}], {part.frame}" for name, part in PARTS.items())]
-    about = "Names in `params` and `randomize`, and of the options `--set` and `--randomize.NAME`."
+    about = "Names in `params` and `randomize`, and in the options `--set` and `--randomize.NAME`."
     text += ["## Physical parameters", about]
-    for group in GROUPS:
+    for group in PARAMETER_GROUPS:
         rows = [f"- `{name}` [{one.unit}]: {one.meaning}" for name, one in PARAMETERS.items() if one.group == group]
         text += [f"### {group.capitalize()}", "\n".join(rows)]
     return "\n\n".join(text)
@@ -160,43 +160,43 @@ def columns_table(record: type) -> str:
     rows = ["| column | shape | unit | frame | meaning |", "|---|---|---|---|---|"]
     for name, one in columns_of(record).items():
         notes = [one.meaning.replace("|", "\\|"), *(["0 to 1"] if one.is_fraction else [])]
-        notes += [] if one.known else ["NaN where unknown" if one.always_in_file else "not in the file where unknown"]
+        notes += [] if one.known else ["NaN if unknown" if one.always_in_file else "not in the file if unknown"]
         rows.append(f"| `{name}` | {one.shape} | {one.unit} | {one.frame} | {'; '.join(notes)} |")
     return "\n".join(rows)
 
 
 def trace_reference() -> str:
-    """Return the page with the columns and the meta of traces and recordings."""
+    """Return the page with the columns and metadata of traces and recordings."""
     return "\n\n".join(
         [
             "# Traces and recordings",
-            "What stands in the files that surefoot writes of a robot's motion: NumPy archives (.npz) of float64 "
-            "arrays, with `meta`, a table in JSON, and `robot`, the folder of a robot that does not ship.",
+            "Contents of the files in which surefoot records a robot's motion: NumPy archives (.npz) of float64 "
+            "arrays, with `meta`, a JSON table of metadata, and `robot`, the folder of a robot that does not ship.",
             "## Trace",
-            "An episode of T control steps, simulated or real: M motors, L legs, O observations, A numbers of "
-            "feedback. In columns with T+1 rows, row 0 is the start and row k is after control step k. Frames: x "
+            "An episode of T control steps, simulated or real, with M motors, L legs, O observations and A feedback "
+            "values. In columns with T+1 rows, row 0 is the start and row k is after control step k. Frames: x "
             "forward, y left, z up. Read the file with `EpisodeTrace.load` or `numpy.load`.",
             columns_table(EpisodeTrace),
-            "### Meta of every trace",
+            "### Metadata of every trace",
             "\n".join(fields_of(TraceMeta)),
-            "### Further entries",
+            "### Optional metadata",
             "\n".join(fields_of(FurtherMeta)),
             "### Partial traces",
             "While `deploy` runs a robot, and while the drive page records, rows are written to `NAME.npz.partial`: a "
-            "line of JSON (`kind`, `version`, `columns` with the count of numbers that each has in a row, `start` of "
-            "columns with T+1 rows, `meta`, `robot`), then rows of little-endian float64. Whatever ends the process, "
-            "the rows written so far remain, and every command that reads traces reads this file too.",
+            "line of JSON (`kind`, `version`, `columns` with the number of values of each column in a row, `start` of "
+            "columns with T+1 rows, `meta`, `robot`), then rows of little-endian float64. However the process ends, "
+            "the rows written so far remain, and every command that reads traces also reads this file.",
             "## Recording of an experiment",
-            "What `surefoot identify` records: C commands to a robot with M motors, and T of its states.",
+            "Data that `surefoot identify` records: C commands to a robot with M motors, and T of its states.",
             columns_table(Recording),
-            "### Meta",
+            "### Metadata",
             "\n".join(fields_of(RecordingMeta)),
         ]
     )
 
 
 FORMS = {("train",): ["trot"], ("evaluate",): ["sensitivity"]}
-"""Forms of commands with a help of their own, besides actions."""
+"""Forms of commands with their own help, in addition to actions."""
 
 
 def help_of(*words: str) -> str:
@@ -208,7 +208,7 @@ def help_of(*words: str) -> str:
 
 def command_reference() -> str:
     """Return the page with the help of every command and of its actions."""
-    text = ["# Commands", "What `surefoot COMMAND --help` prints."]
+    text = ["# Commands", "Output of `surefoot COMMAND --help`."]
     for group, names in COMMAND_GROUPS.items():
         text.append(f"## {group.capitalize()}")
         for name in names:
@@ -246,7 +246,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Rewrite relative links from paths in the repository to paths in the site."""
+    """Rewrite relative links from repository paths to site paths."""
     source = page.file.abs_src_path
     if source is None:
         return markdown

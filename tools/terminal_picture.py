@@ -1,4 +1,4 @@
-"""Draw docs/doctor.svg, a terminal in which the doctor names a wrong joint order: python tools/terminal_picture.py."""
+"""Draw docs/doctor.svg, the doctor's report of a wrong joint order in a terminal: python tools/terminal_picture.py."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ PATH = ROOT / "docs" / "doctor.svg"
 SOURCE, KEY = ROOT / "data" / "rl_sar" / "robot_lab", "go2/robot_lab"
 COLUMNS = 132
 FAILED = 3
-"""Exit code of an examination that found something."""
+"""Exit code of an examination with a failed check."""
 LEFT_OUT = re.compile(r"backward|right|turn {4}|curve|see the line")
-"""Lines of the output that say what others say too."""
+"""Redundant lines of the output."""
 
 
 def swapped(folder: Path) -> None:
@@ -60,7 +60,7 @@ if __name__ == "__main__":
         elif not LEFT_OUT.search(line):
             console.print(Text(line, style="red" if line.startswith("FAIL") else ""))
     picture = console.export_svg(title="surefoot doctor", theme=DEFAULT_TERMINAL_THEME)
-    # Fonts are those of the reader's computer: nothing is loaded from elsewhere.
+    # Use fonts of the reader's computer, so that nothing is loaded from the network.
     picture = re.sub(r"@font-face \{.*?\}\s*", "", picture, flags=re.DOTALL)
     PATH.write_text(
         picture.replace("Fira Code,", "ui-monospace, Menlo, Consolas, 'DejaVu Sans Mono',"), encoding="utf-8"

@@ -1,7 +1,7 @@
-"""Make the looks of the robots that ship: src/surefoot/robot/*/looks.npz.
+"""Write the visual meshes of the released robots: src/surefoot/robot/*/looks.npz.
 
-Everything is a convex prism or a solid of revolution, drawn for the left side and mirrored to the right. Places are in
-the links' frames, x forward, y left, z up, in m. Lengths follow the robots' URDFs. Run it after a change:
+All shapes are convex prisms or solids of revolution, defined for the left side and mirrored to the right. Positions are
+in the links' frames, x forward, y left, z up, in m. Lengths follow the robots' URDFs. Run it after a change:
 python tools/visuals.py
 """
 
@@ -13,12 +13,12 @@ from pathlib import Path
 import numpy as np
 
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import LOOKS, Appearance, VisualPart
+from surefoot.robot.appearance import VISUALS_FILE, Appearance, VisualPart
 
 SIDES = 20
-"""Corners of a circle."""
+"""Number of corners of a circle."""
 AXES = {"x": (1, 2, 0), "y": (2, 0, 1), "z": (0, 1, 2)}
-"""The two directions of an outline, and that of its prism, in right-handed order."""
+"""Indices of an outline's two axes and its prism's axis, in right-handed order."""
 
 Color = tuple[float, float, float]
 Solid = tuple[np.ndarray, np.ndarray]
@@ -30,7 +30,7 @@ YELLOW, ORANGE, BLUE, GLASS = (0.97, 0.74, 0.09), (0.93, 0.43, 0.10), (0.16, 0.3
 
 
 def loft(rings: Sequence[np.ndarray]) -> Solid:
-    """Return the solid through rings of equally many points, closed by its first and last ring."""
+    """Return the solid through rings with the same number of points, closed by the first and last ring."""
     count, last = len(rings[0]), len(rings) - 1
     k = np.arange(count)
     after = (k + 1) % count
@@ -44,7 +44,7 @@ def loft(rings: Sequence[np.ndarray]) -> Solid:
 
 
 def circle(x: float, y: float, radius: float, start: float = 0.0, end: float = 2 * np.pi, count: int = SIDES) -> list:
-    """Return points on a circle or, with its ends, an arc."""
+    """Return points on a circle, or on an arc between two angles."""
     angles = np.linspace(start, end, count, endpoint=end - start < 2 * np.pi - 1e-9)
     return [(x + radius * np.cos(a), y + radius * np.sin(a)) for a in angles]
 
@@ -57,9 +57,9 @@ def hull(points: Iterable[tuple[float, float]]) -> np.ndarray:
         return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
     sides: list[list[tuple[float, float]]] = []
-    for way in (ordered, ordered[::-1]):
+    for points_in_order in (ordered, ordered[::-1]):
         chain: list[tuple[float, float]] = []
-        for point in way:
+        for point in points_in_order:
             while len(chain) > 1 and turn(chain[-2], chain[-1], point) <= 0:
                 chain.pop()
             chain.append(point)
@@ -76,7 +76,7 @@ def inset(outline: np.ndarray, by: float) -> np.ndarray:
 
 
 def prism(axis: str, outline: np.ndarray, low: float, high: float, bevel: float = 0.0) -> Solid:
-    """Return a prism along an axis from low to high; an outline's points are in the order of `AXES`."""
+    """Return a prism along an axis from low to high; the outline's coordinates are in the order of `AXES`."""
     u, v, w = AXES[axis]
     rings = []
     for place, cut in ((low, bevel), (low + bevel, 0.0), (high - bevel, 0.0), (high, bevel)):
@@ -87,7 +87,7 @@ def prism(axis: str, outline: np.ndarray, low: float, high: float, bevel: float 
 
 
 def box(x: Sequence[float], y: Sequence[float], z: Sequence[float], round_: float = 0.0, axis: str = "x") -> Solid:
-    """Return a box between two places along each axis, its edges rounded around one axis and beveled at its ends."""
+    """Return a box between two positions along each axis, with edges rounded about one axis and beveled at its ends."""
     spans = [sorted(span) for span in (x, y, z)]
     u, v, w = AXES[axis]
     radius = max(round_, 1e-5)
@@ -112,7 +112,7 @@ def plate(points: Sequence[tuple[float, float]], y: Sequence[float], radius: flo
 
 
 def turned(axis: str, profile: Sequence[tuple[float, float]], at: Sequence[float] = (0, 0, 0)) -> Solid:
-    """Return a solid of revolution about an axis through a point; its profile has places along it and radii."""
+    """Return a solid of revolution about an axis through a point; its profile has positions on the axis and radii."""
     u, v, w = AXES[axis]
     rings = []
     for place, radius in sorted(profile, key=lambda pair: pair[0]):
@@ -163,7 +163,11 @@ class Drawing:
         self.solids.setdefault((link, color), []).extend(solids)
 
     def add_legs(self, draw: Callable[[Callable[..., None], bool], None]) -> None:
-        """Add four legs, of a function that draws a left one: into links' names without the leg's, front or not."""
+        """Add four legs with a function that draws a left leg.
+
+        Args:
+            draw: called with a function that adds solids to a link of the leg, and whether it is a front leg.
+        """
         for end in ("front", "back"):
             for side in ("left", "right"):
 
@@ -175,7 +179,7 @@ class Drawing:
 
 
 def both(*solids: Solid) -> list[Solid]:
-    """Return solids of the left side and those of the right."""
+    """Return solids of the left side and their mirror images."""
     return [*solids, *(mirrored(solid, 1) for solid in solids)]
 
 
@@ -217,7 +221,7 @@ def go2(drawing: Drawing) -> None:
 
 
 def minitaur(drawing: Drawing) -> None:
-    """Draw Minitaur: an aluminium frame, motors as discs on both sides of each rail's ends, legs of bars and rods."""
+    """Draw Minitaur: an aluminium frame, disc motors on both sides of each rail's ends, legs of bars and rods."""
     base = [
         (DARK, [box((-0.15, 0.15), (-0.06, 0.06), (-0.0435, 0.036), 0.006)]),
         (ALUMINIUM, both(box((-0.155, 0.155), (0.06, 0.065), (-0.0435, 0.0435), 0.0012))),
@@ -241,7 +245,7 @@ def minitaur(drawing: Drawing) -> None:
     bell = [(-0.0105, 0.030), (-0.0085, 0.0405), (-0.005, 0.0425), (0.005, 0.0425), (0.0085, 0.0405), (0.0105, 0.030)]
 
     def leg(add: Callable[..., None], front: bool) -> None:
-        # Motor 1 is the inner one; its links lie outside of it, those of motor 2 inside.
+        # Motor 1 is the inner motor; its links are outside of it, and motor 2's links are inside.
         for number, out in (("1", 1), ("2", -1)):
             add(f"{number}_rotor", BLACK, turned("y", bell))
             add(
@@ -326,7 +330,7 @@ def pupper_v2(drawing: Drawing) -> None:
 
 
 def appearance(draw: Callable[[Drawing], None]) -> Appearance:
-    """Return the looks that a function draws, solids of one color on a link as one part."""
+    """Return the visual meshes that a function draws, with one part per link and color."""
     drawing = Drawing()
     draw(drawing)
     parts = []
@@ -342,7 +346,7 @@ ROBOTS = {draw.__name__: draw for draw in (go2, minitaur, pupper_v2, solo8)}
 
 if __name__ == "__main__":
     for name, draw in ROBOTS.items():
-        path: Path = RobotDescription.load(name).folder / LOOKS
-        looks = appearance(draw)
-        looks.save(path)
-        print(f"{name}: {sum(len(part.faces) for part in looks.parts)} triangles, {path.stat().st_size / 1e3:.0f} kB")
+        path: Path = RobotDescription.load(name).folder / VISUALS_FILE
+        visuals = appearance(draw)
+        visuals.save(path)
+        print(f"{name}: {sum(len(part.faces) for part in visuals.parts)} triangles, {path.stat().st_size / 1e3:.0f} kB")

@@ -1,4 +1,4 @@
-"""surefoot: agile gaits for quadruped robots, learned in simulation and carried to the robot.
+"""surefoot: agile gaits for quadruped robots, learned in simulation and deployed on the robot.
 
     import surefoot
 
@@ -6,8 +6,8 @@
     surefoot.evaluate(run.policy)
     surefoot.play(run.policy)
 
-Importing it takes milliseconds, and needs no simulator: functions import what they use when they are called. Errors
-that a caller can cause are `SurefootError`, with one line that states the value, the rule and the choices.
+Importing the package takes milliseconds and needs no simulator: each function imports its dependencies when it is
+called. Invalid input raises `SurefootError`, whose one-line message states the value, the rule and the choices.
 """
 
 from importlib import import_module
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from surefoot.api.results import Drive, Evaluation, Policy, Run, Video
     from surefoot.errors import SurefootError
 
-__version__ = "0.11.0"
+__version__ = "0.12.0"
 __all__ = [
     "Drive",
     "Evaluation",

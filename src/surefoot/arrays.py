@@ -1,4 +1,4 @@
-"""The array type of numbers."""
+"""Array type of numeric data."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""Numbers in double precision; the shape stands where it is used."""
+"""Array in double precision; docstrings state its shape."""

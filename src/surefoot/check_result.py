@@ -1,4 +1,4 @@
-"""Results of checks."""
+"""Results of checks, such as those of `surefoot doctor`, and helpers that make them."""
 
 from __future__ import annotations
 
@@ -15,45 +15,45 @@ class CheckResult:
     name: str
     """Name of the check."""
     passed: bool | None
-    """None: the check was not done."""
+    """True or false, or None if the check was not done."""
     message: str
-    """What was measured or compared; of a check that failed, also the rule."""
+    """What was measured or compared; if the check failed, also the rule that was violated."""
     remedy: str = ""
-    """What to do, unless the check passed without a warning."""
+    """What the user can do; empty if the check passed without a warning."""
     value: float | str | None = None
-    """What was measured, if it is one number or word; SI units."""
+    """Measured value in SI units, if the check measures a single number or word."""
     warn: bool = False
-    """Whether a check that passed warns: training works, and something is unusual."""
+    """Whether a check that passed warns of something unusual that does not prevent training."""
 
 
 def fail_if(name: str, error: str | None, message: str, remedy: str, value: float | str | None = None) -> CheckResult:
-    """Return a result that failed with a message `error`; it passed, with `message`, if there is no error."""
+    """Return a failed result with the message `error`, or a passed one with `message` if `error` is None."""
     if error is None:
         return CheckResult(name, True, message, value=value)
     return CheckResult(name, False, error, remedy, value)
 
 
-def judge(
+def pass_if(
     name: str, passed: bool, message: str, rule: str, remedy: str, value: float | str | None = None
 ) -> CheckResult:
-    """Return a result; only if it failed, its message ends with the rule."""
+    """Return a passed or failed result; if it failed, `rule` is appended to its message."""
     return fail_if(name, None if passed else f"{message}{rule}", message, remedy, value)
 
 
 def warn_if(name: str, warning: str | None, message: str, remedy: str, value: float | str | None = None) -> CheckResult:
-    """Return a result that passed: with a warning as its message, or with `message` if there is none."""
+    """Return a passed result: with `warning` as its message, or with `message` if `warning` is None."""
     if warning is None:
         return CheckResult(name, True, message, value=value)
     return CheckResult(name, True, warning, remedy, value, warn=True)
 
 
-def skipped(names: Iterable[str], reason: str, remedy: str = "repair that first") -> list[CheckResult]:
-    """Return the results of checks that were not done."""
+def skip_checks(names: Iterable[str], reason: str, remedy: str = "repair that first") -> list[CheckResult]:
+    """Return results of checks that were not done, one per name, with the reason."""
     return [CheckResult(name, None, reason, remedy) for name in names]
 
 
 def first_failure(results: Sequence[CheckResult]) -> str | None:
-    """Return the first failure and the names of the others in one line; None if nothing failed."""
+    """Return one line with the first failure and the names of the others, or None if nothing failed."""
     failed = [result for result in results if result.passed is False]
     if not failed:
         return None

@@ -1,8 +1,8 @@
-"""Columns of records, each declared once, where the record has it.
+"""Columns of recorded data (traces, recordings), each declared once as a field of the record's dataclass.
 
     motor_angle: Array = column("T, M", "rad", "angle that the encoder measured")
 
-Checks, rows of numbers that are written one by one, and the page of the docs are made from the declarations.
+Validation, the layout of rows that are written one at a time, and the table in the documentation use the declarations.
 """
 
 from __future__ import annotations
@@ -24,31 +24,31 @@ class Column:
     """Declaration of a column of a record."""
 
     shape: str
-    """Its sizes, that of the rows first: numbers, and letters for sizes that differ between records, such as "T, M"."""
+    """Sizes of its axes, rows first: numbers, or letters for sizes that differ between records, such as "T, M"."""
     unit: str
-    """Unit; 1 for ratios and counts, empty for columns of mixed units."""
+    """Unit; "1" for ratios and counts, empty for columns of mixed units."""
     meaning: str
-    """What it is."""
+    """Description of the quantity, for the documentation."""
     frame: str = ""
     """Frame of vectors: base, heading or world; empty for columns without a frame."""
-    known: bool = True
-    """Whether every record has the column; other columns may hold NaN, and are all NaN where they are left out."""
+    required: bool = True
+    """Whether every record must have the column; other columns may contain NaN, and are all NaN if they are omitted."""
     always_in_file: bool = True
-    """Whether a file has the column even if all of it is NaN."""
+    """Whether the column is written to files even if it is all NaN."""
     is_fraction: bool = False
-    """Whether values lie between 0 and 1."""
+    """Whether values must be between 0 and 1."""
 
-    def sized(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
-        """Return the shape for sizes by letter."""
+    def shape_for(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
+        """Return the shape for given sizes, by letter."""
         return tuple(int(size) if size.isdigit() else sizes[size] for size in self.shape.split(", "))
 
-    def checked(self, name: str, value: ArrayLike, sizes: Mapping[str, int], may_be_nan: bool = False) -> Array:
-        """Return a read-only copy in double precision; all NaN for a value that is left out, if it may be.
+    def validate(self, name: str, value: ArrayLike, sizes: Mapping[str, int], may_be_nan: bool = False) -> Array:
+        """Return a read-only copy in double precision; all NaN for an empty value if `may_be_nan`.
 
         Raises:
-            SurefootError: values that are no numbers, or another shape.
+            SurefootError: the values are not numeric, or have another shape.
         """
-        array, shape = np.asarray(value), self.sized(sizes)
+        array, shape = np.asarray(value), self.shape_for(sizes)
         if array.dtype.kind not in "biuf":
             raise SurefootError(f"{name} holds {array.dtype}, but must hold numbers")
         if may_be_nan and not array.size:
@@ -61,31 +61,31 @@ class Column:
 
 
 def column(shape: str, unit: str, meaning: str, frame: str = "", **options: bool) -> Any:
-    """Declare a field of a record as a column, which is empty where it is left out; see `Column`."""
-    declared = Column(shape, unit, meaning, frame, **options)
-    return field(default_factory=lambda: np.empty(0), metadata={"column": declared})
+    """Declare a field of a record as a column, an empty array by default; for the arguments see `Column`."""
+    declaration = Column(shape, unit, meaning, frame, **options)
+    return field(default_factory=lambda: np.empty(0), metadata={"column": declaration})
 
 
 @functools.cache
 def columns_of(record: type) -> dict[str, Column]:
-    """Return the declared columns of a record's class, by name."""
+    """Return the declared columns of a record class, by name."""
     return {item.name: item.metadata["column"] for item in fields(record) if "column" in item.metadata}
 
 
 @dataclass(frozen=True)
 class RowLayout:
-    """Columns beside each other in rows of numbers."""
+    """Layout of several columns side by side in the rows of one array."""
 
     widths: dict[str, int]
-    """Numbers of each column in a row, by name and in the row's order."""
+    """Width of each column (numbers per row), by name, in order."""
 
     @property
     def width(self) -> int:
-        """Numbers in a row."""
+        """Total numbers per row."""
         return sum(self.widths.values())
 
     def columns(self, rows: Array) -> dict[str, Array]:
-        """Return rows (T, width) as views by name, (T,) or (T, n)."""
+        """Split rows (T, width) into views by column name, (T,) or (T, n)."""
         parts = np.split(rows, np.cumsum(list(self.widths.values()))[:-1], axis=1)
         return {
             name: part[:, 0] if width == 1 else part
@@ -93,7 +93,7 @@ class RowLayout:
         }
 
     def rows(self, columns: Mapping[str, Any]) -> Array:
-        """Return columns (N, ...) by name as rows (N, width)."""
+        """Join columns (N, ...) by name into rows (N, width)."""
         rows = np.empty((len(next(iter(columns.values()))), self.width))
         for name, part in self.columns(rows).items():
             part[:] = np.reshape(columns[name], part.shape)

@@ -1,4 +1,4 @@
-"""Configuration as frozen dataclasses: from YAML and back, with errors that name key, rule and choices."""
+"""Configuration as frozen dataclasses, read from and written to YAML; errors name the key, the rule and the choices."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ from surefoot.files import read_configuration
 T = TypeVar("T")
 
 _KIND = {float: "a number", int: "a whole number", str: "text", bool: "true or false", type(None): "nothing"}
-_DEPTH = 50
-"""Tables and lists in each other that a file of YAML may have; other readers end at Python's own limit."""
-_NODES = 200_000
-"""Values that a file of YAML may have, each as often as an alias repeats it."""
-_TEXT = 4096
-"""Characters that a text may have."""
-_KEY = 100
-"""Characters of an unknown key that messages show."""
+_MAX_DEPTH = 50
+"""Maximum nesting of tables and lists in a YAML file; other parsers stop at Python's recursion limit."""
+_MAX_NODES = 200_000
+"""Maximum number of values in a YAML file, counting each repetition by an alias."""
+_MAX_TEXT_LENGTH = 4096
+"""Maximum length of a text."""
+_MAX_KEY_LENGTH = 100
+"""Maximum length of an unknown key that messages quote unchanged."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Within:
-    """Bounds of a field: `Annotated[float, Within(0, 1)]`; they hold for each number in lists and tables too."""
+    """Bounds of a field, such as `Annotated[float, Within(0, 1)]`; they apply to each number in a list or table."""
 
-    least: float
-    """Least number that is allowed."""
-    greatest: float
-    """Greatest number that is allowed."""
-    above: bool = False
-    """Whether the least number itself is refused."""
+    minimum: float
+    """Smallest allowed number."""
+    maximum: float
+    """Largest allowed number."""
+    exclusive: bool = False
+    """Whether `minimum` itself is not allowed."""
 
     def check(self, where: str, value: Any) -> None:
-        """Refuse numbers out of bounds, and texts that a file or path cannot hold, also in lists and tables.
+        """Reject numbers out of bounds, and texts that are not valid in a file or path, also in lists and tables.
 
-        The message has the name `where`, the value and the rule. Values of other kinds are left alone.
+        The message contains the name `where`, the value and the rule. Values of other types are not checked.
         """
         if isinstance(value, Mapping):
             for key, item in value.items():
@@ -55,43 +55,47 @@ class Within:
             for place, item in enumerate(value):
                 self.check(f"{where}[{place}]", item)
         elif isinstance(value, str):
-            if len(value) > _TEXT or "\0" in value or any("\ud800" <= letter <= "\udfff" for letter in value):
-                rule = f"it must be Unicode text of {_TEXT} characters at most, none of them NUL"
+            if (
+                len(value) > _MAX_TEXT_LENGTH
+                or "\0" in value
+                or any("\ud800" <= letter <= "\udfff" for letter in value)
+            ):
+                rule = f"it must be Unicode text of at most {_MAX_TEXT_LENGTH} characters without NUL"
                 raise SurefootError(f"{where} is {quote(value)}; {rule}")
         elif isinstance(value, int | float) and not isinstance(value, bool):
-            rule = self._broken(value)
+            rule = self._violated_rule(value)
             if rule:
                 shown = f"{value:g}" if isinstance(value, float) else quote(value)
                 raise SurefootError(f"{where} is {shown}; it must be {rule}")
 
-    def _broken(self, value: float) -> str:
-        """Return the rule that a number breaks; empty if it breaks none."""
+    def _violated_rule(self, value: float) -> str:
+        """Return the rule that a number violates, or an empty text."""
         if isinstance(value, float) and math.isnan(value):
             return "a finite number"
-        if value < self.least or (self.above and value == self.least):
-            return f"over {self.least:.15g}" if self.above else f"{self.least:.15g} or more"
-        return f"{self.greatest:.15g} or less" if value > self.greatest else ""
+        if value < self.minimum or (self.exclusive and value == self.minimum):
+            return f"over {self.minimum:.15g}" if self.exclusive else f"{self.minimum:.15g} or more"
+        return f"{self.maximum:.15g} or less" if value > self.maximum else ""
 
 
 _ANY = Within(-1e15, 1e15)
-"""Bounds of fields that have none of their own."""
+"""Default bounds of fields."""
 
 Seed = Annotated[int, Within(0, 2**32 - 1)]
-"""The seed of random numbers."""
+"""Seed of random numbers."""
 Threads = Annotated[int, Within(0, 1024)]
-"""Number of threads; 0 means one a core."""
-Duration = Annotated[float, Within(0, 3600, above=True)]
+"""Number of threads; 0 means one per core."""
+Duration = Annotated[float, Within(0, 3600, exclusive=True)]
 """Length of a run [s]."""
 NoOption = Annotated[T, tyro.conf.Fixed, tyro.conf.Suppress]
-"""A field that has no option by its dotted name, since commands have one of their own for it."""
-Positive = Annotated[float, Within(0, 1e9, above=True)]
+"""A field without an option of its dotted name, because commands have another option for it."""
+Positive = Annotated[float, Within(0, 1e9, exclusive=True)]
 NotNegative = Annotated[float, Within(0, 1e9)]
 
 
 def check_bounds(config: Any, where: str = "") -> None:
-    """Refuse a dataclass with a number out of its field's bounds, which `Within` gives, or that is not finite.
+    """Reject a dataclass with a number that is not finite or outside its field's bounds (`Within`).
 
-    Dataclasses in it are checked too. `where` is its dotted name, for messages.
+    Nested dataclasses are checked as well. `where` is the dotted name for messages.
     """
     for name, within in field_bounds(config.__class__).items():
         value, place = getattr(config, name), f"{where}.{name}" if where else name
@@ -122,7 +126,7 @@ def _within(hint: Any) -> Within | None:
 
 
 def is_number(value: Any) -> bool:
-    """Return whether a value is a finite number, small enough for a floating point number."""
+    """Return whether a value is a finite number that a floating-point number can represent."""
     try:
         return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
     except OverflowError:
@@ -130,9 +134,9 @@ def is_number(value: Any) -> bool:
 
 
 class _Loader(yaml.SafeLoader):
-    """A YAML loader that reads dates as text and limits nesting and number of values."""
+    """YAML loader that reads dates as text, and limits the nesting and the number of values."""
 
-    yaml_implicit_resolvers = {  # noqa: RUF012, as PyYAML has it
+    yaml_implicit_resolvers = {  # noqa: RUF012, as in PyYAML
         first: [rule for rule in rules if rule[0] != "tag:yaml.org,2002:timestamp"]
         for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
@@ -143,26 +147,26 @@ class _Loader(yaml.SafeLoader):
         self._sizes: dict[int, int] = {}
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """Compose a value, and refuse one that is too deep, too large or holds itself."""
+        """Compose a value; reject one that is nested too deep, too large or contains itself."""
         self._depth += 1
-        if self._depth > _DEPTH:
-            raise yaml.YAMLError(f"it is nested more than {_DEPTH} deep")
+        if self._depth > _MAX_DEPTH:
+            raise yaml.YAMLError(f"it is nested more than {_MAX_DEPTH} levels deep")
         alias = self.check_event(yaml.AliasEvent)
         node: Any = super().compose_node(parent, index)
         self._depth -= 1
         if alias and id(node) not in self._sizes:
-            raise yaml.YAMLError("it holds a value that contains itself")
+            raise yaml.YAMLError("it contains a value that contains itself")
         if not alias:
             parts = [] if isinstance(node.value, str) else node.value
             inner = [part for pair in parts for part in pair] if isinstance(node, yaml.MappingNode) else parts
             self._sizes[id(node)] = 1 + sum(self._sizes[id(part)] for part in inner)
-        if self._sizes[id(node)] > _NODES:
-            raise yaml.YAMLError(f"it holds more than {_NODES} values")
+        if self._sizes[id(node)] > _MAX_NODES:
+            raise yaml.YAMLError(f"it contains more than {_MAX_NODES} values")
         return node
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a YAML file that holds one table; refuse what can't be read, is not YAML, or holds something else."""
+    """Read a YAML file whose content is a table; reject a file that can't be read, is not YAML or is not a table."""
     with describe_os_errors(path):
         content = read_configuration(path)
     try:
@@ -171,34 +175,34 @@ def read_yaml(path: Path) -> dict[str, Any]:
             data = loader.get_single_data()
         finally:
             loader.dispose()
-    # PyYAML raises all of these for values that do not fit their tags, such as `!!int x`.
+    # PyYAML raises all of these for values that do not match their tags, such as `!!int x`.
     except (yaml.YAMLError, ValueError, LookupError, AttributeError, TypeError) as error:
         raise SurefootError(f"{path}: is not YAML: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
-        raise SurefootError(f"{path}: holds {type(data).__name__}; it must be a table of keys and values")
+        raise SurefootError(f"{path}: contains {type(data).__name__}; it must be a table of keys and values")
     return data
 
 
 def read_toml(path: Path) -> tuple[dict[str, Any], bytes]:
-    """Read a TOML file; return it with the bytes that were read. Refuse what can't be read or is not TOML."""
+    """Read a TOML file; return its table and its bytes. Reject a file that can't be read or is not TOML."""
     with describe_os_errors(path):
         content = read_configuration(path)
     try:
         return tomllib.loads(content.decode("utf-8")), content
     except RecursionError:
-        raise SurefootError(f"{path}: is not TOML: it is nested too deep") from None
+        raise SurefootError(f"{path}: is not TOML: it is nested too deeply") from None
     except ValueError as error:
         raise SurefootError(f"{path}: is not TOML: {error}") from error
 
 
 def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: T | None = None) -> T:
-    """Make a dataclass from a mapping, nested dataclasses from nested mappings.
+    """Construct a dataclass from a mapping, and nested dataclasses from nested mappings.
 
     Args:
         kind: the dataclass.
-        data: keys and values; a key left out keeps the value of `base`, or the field's default.
+        data: keys and values; omitted keys keep the value of `base`, or the field's default.
         where: dotted name of this mapping, for error messages.
-        base: an instance whose values hold where `data` has none.
+        base: instance that provides the values of omitted keys.
 
     Raises:
         SurefootError: an unknown key, a missing one, or a value of the wrong type.
@@ -207,12 +211,12 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
     fields = {item.name: item for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
     if not isinstance(data, Mapping):
         raise SurefootError(
-            f"{where or kind.__name__} is {quote(data)}; it must be a table with keys out of: {choices(fields)}"
+            f"{where or kind.__name__} is {quote(data)}; it must be a table with keys from: {choices(fields)}"
         )
     prefix = f"{where}." if where else ""
     for key in data:
         if key not in fields:
-            name = str(key) if len(str(key)) <= _KEY and str(key).isprintable() else quote(key)
+            name = str(key) if len(str(key)) <= _MAX_KEY_LENGTH and str(key).isprintable() else quote(key)
             raise SurefootError(f"{prefix}{name} is not a key; {suggest(str(key), fields)}")
     values = {} if base is None else {name: getattr(base, name) for name in fields}
     nothing = dataclasses.MISSING
@@ -230,37 +234,37 @@ def from_mapping(kind: type[T], data: Mapping[str, Any], where: str = "", base: 
 
 
 def typed_entries(kind: type[T], data: Mapping[str, Any], where: str = "") -> T:
-    """Make a dataclass from those entries of a mapping that it has; see `from_mapping`."""
+    """Construct a dataclass from a mapping, ignoring keys that are not its fields; see `from_mapping`."""
     names = {item.name for item in dataclasses.fields(kind)}  # type: ignore[arg-type]
     return from_mapping(kind, {name: value for name, value in data.items() if name in names}, where)
 
 
 def from_tagged(options: Sequence[type[T]], data: Any, where: str = "", base: T | None = None) -> T:
-    """Make one of several dataclasses out of plain tables, lists and values: the one whose `kind` the table has.
+    """Construct one of several dataclasses from a mapping, selected by its key `kind` (a tagged union).
 
-    Each option has a field `kind`, whose default is its own kind, and defaults for all fields. Keys that only other
-    kinds have are left out where they have their defaults, as in files of earlier versions.
+    Each option has a field `kind`, whose default is its own kind, and defaults for all other fields. A key that belongs
+    to another kind is ignored if it has that kind's default, as in files of earlier versions.
 
     Args:
-        options: the dataclasses; the first one is made without `kind` and base.
-        data: the values; without a key a field has its default.
+        options: the dataclasses; the first is the default without `kind` and `base`.
+        data: keys and values; omitted keys keep the value of `base`, or the field's default.
         where: dotted name of this mapping, for error messages.
-        base: an instance whose values hold where `data` has none; of another kind, those that both kinds have.
+        base: instance that provides the values of omitted keys; if it is of another kind, only of the common fields.
 
     Raises:
-        SurefootError: an unknown kind, a key of another kind, or as `from_mapping`.
+        SurefootError: an unknown kind, a key of another kind, or the errors of `from_mapping`.
     """
     kinds: dict[Any, Any] = {_kind(option): option for option in options}
-    given = data if isinstance(data, Mapping) else {}
-    tag, prefix = given.get("kind", _kind(options[0] if base is None else base)), f"{where}." if where else ""
+    entries = data if isinstance(data, Mapping) else {}
+    tag, prefix = entries.get("kind", _kind(options[0] if base is None else base)), f"{where}." if where else ""
     if tag not in list(kinds):  # it may be unhashable
         raise SurefootError(f"{prefix}kind is {quote(tag)}; {suggest(tag, kinds)}")
     option: Any = kinds[tag]
-    kept = keys_of_kind(options, data, tag)
-    for key in [key for key in given if key not in kept]:
+    own_entries = keys_of_kind(options, data, tag)
+    for key in [key for key in entries if key not in own_entries]:
         others = {kind: other for kind, other in kinds.items() if key in field_bounds(other)}
         other = next(iter(others.values()))
-        value = _convert(_field_types(other)[key], given[key], f"{prefix}{key}", None)
+        value = _convert(_field_types(other)[key], entries[key], f"{prefix}{key}", None)
         if value != getattr(other(), key):
             raise SurefootError(
                 f"{prefix}{key} is not a key of kind {tag}, but of {choices(others)}; keys of kind {tag}: "
@@ -269,14 +273,14 @@ def from_tagged(options: Sequence[type[T]], data: Any, where: str = "", base: T 
     if base is not None and not isinstance(base, option):
         shared = field_bounds(typing.cast(Any, type(base))).keys() & field_bounds(option).keys() - {"kind"}
         base = option(**{name: getattr(base, name) for name in shared})
-    made: T = from_mapping(option, kept, where, base)
-    return made
+    config: T = from_mapping(option, own_entries, where, base)
+    return config
 
 
 def keys_of_kind(options: Sequence[type], data: Any, kind: Any = None) -> Any:
-    """Return a table without the keys that only other options than those of a kind have; what is no table as it is.
+    """Return a mapping without the keys that belong only to other kinds; anything but a mapping is returned unchanged.
 
-    `kind` defaults to the table's own, or else to the first option's. With an unknown kind nothing is left out.
+    `kind` defaults to the mapping's own, or else to the first option's. With an unknown kind no key is dropped.
     """
     if not isinstance(data, Mapping):
         return data
@@ -291,7 +295,7 @@ def _kind(option: Any) -> Any:
 
 
 def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
-    """Return a value as the type that a field has; `base` is what the field has without it."""
+    """Convert a value to the type of a field, whose value in the base instance is `base`."""
     origin, args, is_bool = typing.get_origin(hint), typing.get_args(hint), isinstance(value, bool)
     if dataclasses.is_dataclass(hint):
         return from_mapping(hint, value, where, base)  # type: ignore[arg-type]
@@ -330,7 +334,7 @@ def _convert(hint: Any, value: Any, where: str, base: Any) -> Any:
 
 
 def _name(hint: Any) -> str:
-    """Return a type in words."""
+    """Return the name of a type for messages."""
     origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin in (typing.Union, types.UnionType):
         return " or ".join(map(_name, args))
@@ -343,12 +347,12 @@ def _name(hint: Any) -> str:
     if origin is dict:
         return f"a table of values, each {_name(args[1])}"
     if dataclasses.is_dataclass(hint):
-        return f"a table with keys out of: {choices(item.name for item in dataclasses.fields(hint))}"
+        return f"a table with keys from: {choices(item.name for item in dataclasses.fields(hint))}"
     return "of any kind" if hint is Any else _KIND.get(hint, str(hint))
 
 
 def to_mapping(config: Any) -> dict[str, Any]:
-    """Return a dataclass as plain tables, lists and values, ready for YAML or JSON."""
+    """Convert a dataclass to plain dicts, lists and values for YAML or JSON."""
 
     def plain(value: Any) -> Any:
         if dataclasses.is_dataclass(value):
@@ -364,6 +368,6 @@ def to_mapping(config: Any) -> dict[str, Any]:
 
 
 def write_yaml(path: Path, config: Any) -> None:
-    """Write a dataclass, or plain tables, as YAML."""
+    """Write a dataclass, or plain dicts and lists, as YAML."""
     data = to_mapping(config) if dataclasses.is_dataclass(config) else config
     path.write_text(yaml.safe_dump(data, sort_keys=False, allow_unicode=True), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The tasks as Gymnasium environments, with the simulation wired in.
+"""Gymnasium environments of the released tasks, single and vectorized, with the simulation already connected.
 
     import gymnasium
     import surefoot.envs
@@ -6,7 +6,7 @@
     env = gymnasium.make("surefoot/Gallop-v0", render_mode="rgb_array")
     envs = gymnasium.make_vec("surefoot/Gallop-v0", num_envs=64)
 
-Without the second import, `gymnasium.make("surefoot.envs:surefoot/Gallop-v0")` does the same.
+`gymnasium.make("surefoot.envs:surefoot/Gallop-v0")` works without the second import.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ def make_single(
     world: str = "mujoco",
     render_mode: str | None = None,
 ) -> LocomotionSingleEnv:
-    """Return one robot on a task.
+    """Return the environment of a single robot on a task.
 
     Args:
-        task: name of a task, path of a YAML file, or configuration.
-        seed: of the first episode; any, if None.
-        robot: name or folder of another robot than the task's.
-        world: name of the world.
-        render_mode: "rgb_array": `render` draws the robot, in software.
+        task: name of a task, path of a YAML file, or a configuration.
+        seed: seed of the first episode; random by default.
+        robot: name or folder of a robot; defaults to the task's.
+        world: name of the world (simulator).
+        render_mode: "rgb_array" lets `render` return images, drawn in software; None disables rendering.
     """
     config = _config(task, robot)
     return LocomotionSingleEnv(config, find_world(world), seed, _camera(config, render_mode))
@@ -52,7 +52,7 @@ def make_vector(
     world: str = "mujoco",
     render_mode: str | None = None,
 ) -> LocomotionEnv:
-    """Return a batch of robots on a task, simulated on all cores; arguments as of `make_single`."""
+    """Return the vectorized environment of a task, simulated on all cores; for the arguments see `make_single`."""
     config, make_world = _config(task, robot), find_world(world)
     camera = _camera(config, render_mode)
     return LocomotionEnv(config, num_envs, make_world, seed, threads=threads, camera=camera, step_info=True)
@@ -75,9 +75,9 @@ def _camera(task: TaskConfig, render_mode: str | None) -> Camera | None:
 
 
 IDS = [f"surefoot/{task.title().replace('-', '')}-v0" for task in preset_names()]
-"""Ids that are registered, one a preset: that of `trot-robust` is `surefoot/TrotRobust-v0`."""
+"""Registered ids, one per preset: `trot-robust` is registered as `surefoot/TrotRobust-v0`."""
 for _task, _id in zip(preset_names(), IDS, strict=True):
-    # No `max_episode_steps`: the task itself truncates episodes.
+    # `max_episode_steps` is not set because the task truncates episodes.
     gymnasium.register(
         _id, f"{__name__}:make_single", vector_entry_point=f"{__name__}:make_vector", kwargs={"task": _task}
     )

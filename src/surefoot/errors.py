@@ -1,4 +1,4 @@
-"""Errors that a user can cause, reported in one line."""
+"""Errors caused by invalid input, reported in one line."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from typing import Any
 
 
 class SurefootError(ValueError):
-    """An invalid input: the message states the value, the rule and the choices.
+    """Invalid input; the message states the value, the rule and the choices.
 
-    The command line prints the message alone and exits with code 2.
+    The command line prints only the message, without a traceback, and exits with code 2.
     """
 
 
 @contextmanager
 def describe_os_errors(what: object, verb: str = "read") -> Iterator[None]:
-    """Turn a failure of the file system inside into one line: `WHAT: can't be VERB: REASON`."""
+    """Convert an `OSError` raised inside to a `SurefootError`: `WHAT: can't be VERB: REASON`."""
     try:
         yield
     except OSError as error:
@@ -28,7 +28,7 @@ def describe_os_errors(what: object, verb: str = "read") -> Iterator[None]:
 
 @contextmanager
 def prefix_errors(where: object) -> Iterator[None]:
-    """Put a file's path, or another place, before the message of an error that is raised inside: `WHERE: MESSAGE`."""
+    """Prefix the message of a `SurefootError` raised inside with a path or another location: `WHERE: MESSAGE`."""
     try:
         yield
     except SurefootError as error:
@@ -36,7 +36,7 @@ def prefix_errors(where: object) -> Iterator[None]:
 
 
 def check_name(what: str, name: str) -> None:
-    """Refuse a name that is not safe as the name of a file or folder; `what` is what has the name, for the message."""
+    """Reject a name that is not safe as a file or folder name; `what` says whose name it is, for the message."""
     if not re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]{0,99}", name):
         raise SurefootError(
             f"{what} is {quote(name)}; a name has letters, digits, - and _ only, does not start with -, and has 1 to "
@@ -52,23 +52,23 @@ _QUOTES.maxlong = 40
 
 
 def quote(value: Any) -> str:
-    """Return a value as messages quote it: as Python writes it, shortened where it is long or deep."""
+    """Return a value's `repr` for error messages, shortened if it is long or deeply nested."""
     text = _QUOTES.repr(value)
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 
 def suggest(name: object, names: Iterable[object]) -> str:
-    """Return the choices for the end of an error message about a wrong name, after the nearest one if there is one."""
+    """Return the end of an error message about an unknown name: the closest name, if any is close, and all choices."""
     texts = [str(choice) for choice in names]
     near = nearest(str(name), texts)
     return f"{f'did you mean {near}? ' if near else ''}choices: {choices(texts)}"
 
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
-    """Return the name out of several that is most like a wrong one; None if none is."""
+    """Return the known name that is most similar to a misspelled one, or None if none is similar."""
     return next(iter(difflib.get_close_matches(name[:100], list(names), n=1, cutoff=0.65)), None)
 
 
 def choices(names: Iterable[str]) -> str:
-    """Return names as one readable list, for the end of an error message."""
+    """Join names to a readable list, for the end of an error message."""
     return ", ".join(str(name) for name in names)

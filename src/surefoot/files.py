@@ -1,4 +1,4 @@
-"""Files that are read within limits, and files that appear whole or not at all."""
+"""Reading of files with a size limit, and atomic writing."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pathlib import Path
 from typing import Any
 
 CONFIGURATION_BYTES = 1 << 18
-"""Size of the largest configuration file that is read."""
+"""Maximum size of a configuration file [bytes]."""
 DATA_BYTES = 1 << 30
-"""Size of the largest file of data that is read, unpacked."""
+"""Maximum uncompressed size of a data file [bytes]."""
 _PARTIAL = re.compile(r"\..+\.(\d+)\.tmp")
-"""Names of unfinished files, with the number of the process that writes them."""
+"""Pattern of the names of unfinished files, which contain the id of the process that writes them."""
 
 
 def check_readable(path: Path, limit: int = DATA_BYTES) -> None:
-    """Refuse anything but a regular file, and a file that is too large.
+    """Check that a path is a regular file within the size limit [bytes].
 
     Raises:
-        OSError: one of these, or the file can't be found.
+        OSError: it is not, or it does not exist.
     """
     status = path.stat()
     if stat.S_ISDIR(status.st_mode):
@@ -34,10 +34,10 @@ def check_readable(path: Path, limit: int = DATA_BYTES) -> None:
 
 
 def read_configuration(path: Path) -> bytes:
-    """Read a configuration file, which is a regular file of `CONFIGURATION_BYTES` at most.
+    """Return the content of a configuration file, which must be a regular file of at most `CONFIGURATION_BYTES`.
 
     Raises:
-        OSError: it is another thing, is larger, or can't be read.
+        OSError: it is not a regular file, is larger, or can't be read.
     """
     check_readable(path, CONFIGURATION_BYTES)
     with path.open("rb") as file:
@@ -49,7 +49,7 @@ def read_configuration(path: Path) -> bytes:
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove unfinished files that killed processes left in a folder."""
+    """Remove unfinished files left in a folder by processes that were killed."""
     for path in folder.glob(".*.tmp"):
         if (match := _PARTIAL.fullmatch(path.name)) is None:
             continue
@@ -58,11 +58,11 @@ def remove_abandoned(folder: Path) -> None:
         except (ProcessLookupError, OverflowError):
             path.unlink(missing_ok=True)
         except PermissionError:
-            continue  # Another user's process runs.
+            continue  # The process runs, as another user.
 
 
 def atomic_write(path: Path, content: str | bytes) -> None:
-    """Write a file whole or not at all: it takes the name `path` once everything is on the disk."""
+    """Write a file atomically: it is renamed to `path` once its content is on the disk."""
     partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         with partial.open("wb") as file:
@@ -75,11 +75,11 @@ def atomic_write(path: Path, content: str | bytes) -> None:
 
 
 def read_json_lines(path: Path) -> list[dict[str, Any]]:
-    """Return the tables of a file of JSON lines; none if it is missing, and none after a line that was cut off."""
+    """Return the objects in a file of JSON lines, up to a truncated line; empty if the file is missing."""
     rows: list[dict[str, Any]] = []
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
-    except FileNotFoundError:  # A training that begins anew removes its log at any moment.
+    except FileNotFoundError:  # A training that starts over may remove its log at any time.
         return rows
     for line in lines:
         try:

@@ -1,4 +1,4 @@
-"""Redirection of what C code prints: stdout holds results only, with `--json` one object."""
+"""Redirection of output printed by C libraries, so that stdout holds only results (with `--json`, one object)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from surefoot.errors import SurefootError
 
 @contextmanager
 def stdout_to_stderr() -> Iterator[None]:
-    """Redirect stdout to stderr, for notes of a library while it is loaded."""
+    """Redirect stdout to stderr, such as for messages that a library prints while it is loaded."""
     with _redirect((1,), 2):
         yield
 
 
 @contextmanager
-def quiet() -> Iterator[None]:
-    """Discard what C code prints to stdout or stderr."""
+def discard_output() -> Iterator[None]:
+    """Discard all output to stdout and stderr, also from C code."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     try:
         with _redirect((1, 2), nowhere):
@@ -30,26 +30,26 @@ def quiet() -> Iterator[None]:
         os.close(nowhere)
 
 
-def _refusal(message: str, path: Path) -> SurefootError:
-    return SurefootError(f"{path}: MuJoCo refuses it: {' '.join(message.split())}")
+def _rejection(message: str, path: Path) -> SurefootError:
+    return SurefootError(f"{path}: MuJoCo rejects it: {' '.join(message.split())}")
 
 
 @contextmanager
-def mujoco_errors(path: Path, explain: Callable[[str, Path], SurefootError] = _refusal) -> Iterator[None]:
-    """Turn an error of MuJoCo's parser or compiler about a file into one line.
+def mujoco_errors(path: Path, explain: Callable[[str, Path], SurefootError] = _rejection) -> Iterator[None]:
+    """Convert an error of MuJoCo's parser or compiler about a file to a `SurefootError`.
 
-    What it prints is discarded, and warnings too, which MuJoCo else writes to a file MUJOCO_LOG.TXT.
+    MuJoCo's output is discarded, including warnings, which it would otherwise write to a file MUJOCO_LOG.TXT.
 
     Args:
         path: the file.
-        explain: returns the error for MuJoCo's message.
+        explain: function that returns the error for MuJoCo's message.
     """
     import mujoco
 
-    # A C function without effect. It stays: engines are made silent in the same way.
+    # Any C function without side effects. It stays set, because the engines also silence warnings in this way.
     mujoco.set_mju_user_warning(ctypes.CDLL(None).strlen)
     try:
-        with quiet():
+        with discard_output():
             yield
     except (ValueError, MemoryError, RecursionError, mujoco.FatalError) as error:
         raise explain(str(error) or type(error).__name__, path) from error
@@ -68,7 +68,7 @@ def _redirect(descriptors: tuple[int, ...], to: int) -> Iterator[None]:
     finally:
         if sys.stdout is not None:
             sys.stdout.flush()
-        ctypes.CDLL(None).fflush(None)  # C keeps what it prints to a pipe until later
-        for descriptor, was in zip(descriptors, saved, strict=True):
-            os.dup2(was, descriptor)
-            os.close(was)
+        ctypes.CDLL(None).fflush(None)  # C buffers output to a pipe
+        for descriptor, original in zip(descriptors, saved, strict=True):
+            os.dup2(original, descriptor)
+            os.close(original)

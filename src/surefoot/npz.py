@@ -1,4 +1,4 @@
-"""Files of arrays (.npz) with a table of other values under `meta`."""
+"""Array files (.npz) with metadata as JSON under the name `meta`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from surefoot.files import DATA_BYTES, atomic_write, check_readable
 
 
 def write_npz(path: Path, arrays: Mapping[str, Any], meta: Mapping[str, Any]) -> None:
-    """Write arrays and what JSON can hold, whole or not at all, with the file's folder."""
+    """Write arrays and JSON metadata atomically; the file's folder is created if necessary."""
     path.parent.mkdir(parents=True, exist_ok=True)
     buffer = BytesIO()
     np.savez_compressed(buffer, meta=np.array(json.dumps(meta)), **arrays)
@@ -27,15 +27,16 @@ def write_npz(path: Path, arrays: Mapping[str, Any], meta: Mapping[str, Any]) ->
 
 
 def read_npz(path: Path, limit: int = DATA_BYTES, unpacked: int = DATA_BYTES) -> dict[str, NDArray[Any]]:
-    """Read every array of an .npz file whole, so that each member's checksum is verified.
+    """Read all arrays of an .npz file completely, so that the checksum of each member is verified.
 
     Args:
         path: the file.
-        limit: size of the largest file that is read [bytes].
-        unpacked: the same of its arrays [bytes].
+        limit: maximum size of the file [bytes].
+        unpacked: maximum uncompressed size of its arrays [bytes].
 
     Raises:
-        SurefootError: no such file, or one that is damaged, too large or holds objects; without its path.
+        SurefootError: the file does not exist, is damaged or too large, or contains Python objects. The message does
+            not name the path.
     """
     try:
         check_readable(path, limit)
@@ -45,7 +46,7 @@ def read_npz(path: Path, limit: int = DATA_BYTES, unpacked: int = DATA_BYTES) ->
             return {name.removesuffix(".npy"): _read_array(archive.read(name)) for name in archive.namelist()}
     except OSError as error:
         raise SurefootError(f"can't be read: {error.strerror or error}") from error
-    # RuntimeError: a flipped bit that makes a member look encrypted, or packed in another way.
+    # RuntimeError: a flipped bit can make a member look encrypted, or compressed by another method.
     except (ValueError, EOFError, zipfile.BadZipFile, zlib.error, RuntimeError, MemoryError) as error:
         raise SurefootError(
             f"is cut off, damaged or no file of arrays (.npz): {' '.join(str(error).split())}"
@@ -53,7 +54,7 @@ def read_npz(path: Path, limit: int = DATA_BYTES, unpacked: int = DATA_BYTES) ->
 
 
 def pop_meta(arrays: dict[str, NDArray[Any]]) -> dict[str, Any] | None:
-    """Take `meta` out of a file's arrays; None if it is no table in JSON."""
+    """Remove `meta` from a file's arrays and return it as a dict, or None if it is not a JSON object."""
     try:
         meta = json.loads(str(arrays.pop("meta", None)))
     except (ValueError, RecursionError):
@@ -62,15 +63,15 @@ def pop_meta(arrays: dict[str, NDArray[Any]]) -> dict[str, Any] | None:
 
 
 def pack_bytes(name: str, content: bytes) -> dict[str, NDArray[Any]]:
-    """Return an array with bytes under its name; none for no bytes."""
+    """Return bytes as an array by name; an empty dict for empty content."""
     return {name: np.frombuffer(content, np.uint8)} if content else {}
 
 
 def pop_bytes(arrays: dict[str, NDArray[Any]], name: str) -> bytes:
-    """Take bytes out of a file's arrays; none, if they are not there.
+    """Remove an array of bytes from a file's arrays and return its content; empty if there is none.
 
     Raises:
-        SurefootError: the array is one of other values.
+        SurefootError: the array does not contain bytes.
     """
     array = arrays.pop(name, np.empty(0, np.uint8))
     if array.dtype != np.uint8 or array.ndim != 1:
@@ -79,7 +80,7 @@ def pop_bytes(arrays: dict[str, NDArray[Any]], name: str) -> bytes:
 
 
 def _read_array(content: bytes) -> NDArray[Any]:
-    """Return the array of a .npy file, whose size must match its header."""
+    """Parse the content of an .npy file, whose size must match its header."""
     file = BytesIO(content)
     version = np.lib.format.read_magic(file)
     read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0

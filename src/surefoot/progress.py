@@ -1,4 +1,4 @@
-"""The progress display of all commands: a picture that a terminal redraws in place, plain lines elsewhere."""
+"""Progress display of all commands: redrawn in place on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from rich.live import Live
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 _REDRAW_PERIOD = 0.05
-"""Least time between two drawings [s], under the .1 s in which a deployment reports its state."""
+"""Minimum time between two redraws [s]; a deployment reports its state every 0.1 s."""
 _LINE_PERIOD = 10.0
-"""Least time between two lines of a bar where there is no terminal [s]."""
+"""Minimum time between two lines of a bar without a terminal [s]."""
 _MAX_LINE_PERIOD = 60.0
-"""The same for a percentage, whose lines come at growing intervals [s]."""
+"""Upper limit of the interval between two lines of a percentage, which doubles with each line [s]."""
 
 
 class ProgressDisplay:
-    """Show the progress of some work while entered.
+    """Context manager that shows the progress of some work.
 
     Args:
-        console: where to show it.
-        draw: returns the picture for a terminal.
-        line_period: least time between two lines on one topic where there is no terminal [s]; no lines, if None.
-        transient: remove the picture at the end.
+        console: console to print to.
+        draw: function that returns the display for a terminal.
+        line_period: minimum time between two lines on one topic without a terminal [s]; None disables lines.
+        transient: remove the display at the end.
     """
 
     def __init__(
@@ -47,19 +47,19 @@ class ProgressDisplay:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Draw once more, and stop the display."""
+        """Redraw a last time, and stop the display."""
         self._live.stop()
 
     def print(self, line: str, topic: str = "") -> None:
-        """Print a line that stays; on a terminal it stands above the picture."""
+        """Print a permanent line; on a terminal it appears above the display."""
         self._printed[topic] = time.monotonic()
         self._console.print(line, highlight=False, soft_wrap=True, markup=False, emoji=False)
 
     def refresh(self, line: str = "", topic: str = "", force_line: bool = False) -> bool:
-        """Redraw the picture on a terminal; elsewhere print a line, if it is forced or the topic's last one is old.
+        """Redraw the display on a terminal; elsewhere print a line if it is due for its topic, or forced.
 
         Returns:
-            whether a line was printed.
+            Whether a line was printed.
         """
         now = time.monotonic()
         if self._console.is_terminal:
@@ -75,15 +75,15 @@ class ProgressDisplay:
 
 
 class ProgressBar(ProgressDisplay):
-    """A bar that shows how much of some work is done.
+    """Progress bar with a percentage or a count.
 
-    A percentage is removed at the end, a count stays. Elsewhere than on a terminal both have lines.
+    A percentage is removed at the end; a count stays. Without a terminal both print lines.
 
     Args:
         title: name of the work.
-        console: where to show it; standard error, if not given.
-        count: amount of work to count; a percentage is shown, if None.
-        done: amount of a count that was done before.
+        console: console to print to; defaults to standard error.
+        count: total to count up to; by default a percentage is shown.
+        done: count at the start.
     """
 
     def __init__(self, title: str, console: Console | None = None, count: int | None = None, done: int = 0) -> None:
@@ -97,7 +97,7 @@ class ProgressBar(ProgressDisplay):
         super().__init__(console, lambda: self._bar, _LINE_PERIOD, transient=count is None)
 
     def advance(self, done: float, text: str = "", line: str = "") -> None:
-        """Show the amount of work that is done, with a text on a terminal and a line elsewhere."""
+        """Show the amount of work done so far, with `text` on a terminal and `line` elsewhere."""
         self._bar.update(self._task, completed=done, text=text)
         if self._count is not None:
             self.refresh(line, force_line=done >= self._total)

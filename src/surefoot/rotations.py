@@ -1,6 +1,7 @@
-"""Rotations: quaternions are w, x, y, z; roll, pitch, yaw turn by roll about x, then pitch about y, then yaw about z.
+"""Rotations as matrices, quaternions (w, x, y, z) and roll, pitch, yaw.
 
-Compiled kernels of the simulators' inner loops stand where they are used (`world.actuation`).
+Roll, pitch and yaw rotate about the fixed axes x, then y, then z. The compiled kernels of the simulators' inner loops
+are in `world.actuation`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from surefoot.arrays import Array
 
 
 def rpy_matrix(roll: float, pitch: float, yaw: float) -> Array:
-    """Return the rotation (3, 3) of roll, pitch and yaw about fixed axes [rad]."""
+    """Return the rotation matrix (3, 3) of roll, pitch and yaw about fixed axes [rad]."""
     (cr, sr), (cp, sp), (cy, sy) = ((math.cos(angle), math.sin(angle)) for angle in (roll, pitch, yaw))
     return np.array(
         [
@@ -25,13 +26,13 @@ def rpy_matrix(roll: float, pitch: float, yaw: float) -> Array:
     )
 
 
-def matrix_rpy(turn: Array) -> Array:
-    """Return roll, pitch and yaw (3,) [rad] of a rotation (3, 3); with pitch at a quarter turn, yaw is 0."""
-    level = math.hypot(turn[0, 0], turn[1, 0])
-    pitch = math.atan2(-turn[2, 0], level)
+def matrix_rpy(rotation: Array) -> Array:
+    """Return roll, pitch and yaw (3,) [rad] of a rotation matrix (3, 3); yaw is 0 if pitch is ±pi/2."""
+    level = math.hypot(rotation[0, 0], rotation[1, 0])
+    pitch = math.atan2(-rotation[2, 0], level)
     if level < 1e-9:
-        return np.array([math.atan2(math.copysign(1.0, pitch) * turn[0, 1], turn[1, 1]), pitch, 0.0])
-    return np.array([math.atan2(turn[2, 1], turn[2, 2]), pitch, math.atan2(turn[1, 0], turn[0, 0])])
+        return np.array([math.atan2(math.copysign(1.0, pitch) * rotation[0, 1], rotation[1, 1]), pitch, 0.0])
+    return np.array([math.atan2(rotation[2, 1], rotation[2, 2]), pitch, math.atan2(rotation[1, 0], rotation[0, 0])])
 
 
 def rpy_quat(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
@@ -57,28 +58,28 @@ def quat_rpy(w: float, x: float, y: float, z: float) -> tuple[float, float, floa
 
 
 def quat_yaw(quat: ArrayLike) -> Array:
-    """Return the yaw [rad] (...) of unit quaternions (..., 4), w x y z."""
+    """Return the yaw (...) [rad] of unit quaternions (..., 4), w x y z."""
     w, x, y, z = np.moveaxis(np.asarray(quat, float), -1, 0)
     yaw: Array = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
     return yaw
 
 
 def in_heading_frame(vector: Array, yaw: Array) -> Array:
-    """Return world vectors (N, 3) in the frame that stands upright and has yaw (N,) [rad]."""
+    """Rotate vectors (N, 3) from the world frame to the heading frame (upright, yaw (N,) [rad])."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y, z = vector.T
     return np.stack([cos * x + sin * y, cos * y - sin * x, z], -1)
 
 
 def from_heading_frame(points: Array, yaw: Array) -> Array:
-    """Return points (N, K, 2) or (K, 2) of frames that stand upright and have yaw (N,) [rad] in the world (N, K, 2)."""
+    """Rotate points (N, K, 2) or (K, 2) from heading frames with yaw (N,) [rad] to the world frame (N, K, 2)."""
     cos, sin = np.cos(yaw)[:, None], np.sin(yaw)[:, None]
     x, y = np.moveaxis(points, -1, 0)
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
 def quat_matrix(quat: ArrayLike) -> Array:
-    """Return the rotations (..., 3, 3) of unit quaternions (..., 4)."""
+    """Return the rotation matrices (..., 3, 3) of unit quaternions (..., 4), w x y z."""
     w, x, y, z = np.moveaxis(np.asarray(quat, float), -1, 0)
     rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -89,17 +90,17 @@ def quat_matrix(quat: ArrayLike) -> Array:
 
 
 def xyzw_matrix(quat: Array) -> Array:
-    """Return the rotations (..., 3, 3) of unit quaternions (..., 4) in Bullet's order x, y, z, w."""
+    """Return the rotation matrices (..., 3, 3) of unit quaternions (..., 4) in Bullet's order x, y, z, w."""
     return quat_matrix(quat[..., [3, 0, 1, 2]])
 
 
-def matrix_quat(turn: Array) -> Array:
-    """Return the unit quaternion (4,) of a rotation (3, 3)."""
-    w = np.sqrt(max(0.0, 1 + turn[0, 0] + turn[1, 1] + turn[2, 2])) / 2
-    x = np.sqrt(max(0.0, 1 + turn[0, 0] - turn[1, 1] - turn[2, 2])) / 2
-    y = np.sqrt(max(0.0, 1 - turn[0, 0] + turn[1, 1] - turn[2, 2])) / 2
-    z = np.sqrt(max(0.0, 1 - turn[0, 0] - turn[1, 1] + turn[2, 2])) / 2
-    signs = turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]
+def matrix_quat(rotation: Array) -> Array:
+    """Return the unit quaternion (4,), w x y z, of a rotation matrix (3, 3)."""
+    w = np.sqrt(max(0.0, 1 + rotation[0, 0] + rotation[1, 1] + rotation[2, 2])) / 2
+    x = np.sqrt(max(0.0, 1 + rotation[0, 0] - rotation[1, 1] - rotation[2, 2])) / 2
+    y = np.sqrt(max(0.0, 1 - rotation[0, 0] + rotation[1, 1] - rotation[2, 2])) / 2
+    z = np.sqrt(max(0.0, 1 - rotation[0, 0] - rotation[1, 1] + rotation[2, 2])) / 2
+    signs = rotation[2, 1] - rotation[1, 2], rotation[0, 2] - rotation[2, 0], rotation[1, 0] - rotation[0, 1]
     signed = np.array([w, *(np.copysign(value, sign) for value, sign in zip((x, y, z), signs, strict=True))])
     unit: Array = signed / np.linalg.norm(signed)
     return unit

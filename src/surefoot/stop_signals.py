@@ -1,4 +1,4 @@
-"""Signals that stop a program: Ctrl-C, a closed terminal, a request to terminate."""
+"""Signals that stop a program: Ctrl-C, a closed terminal, and a request to terminate."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from collections.abc import Callable
 from types import FrameType
 from typing import Any, Self
 
-ALL = ("SIGINT", "SIGTERM", "SIGHUP")
+STOP_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 SIT, DAMP = 1, 2
-"""Requests to a robot, see `StopSignals.stops`."""
+"""Stop requests to a robot, see `StopSignals.stops`."""
 
 
 INTERRUPTED = 130
-"""Exit code of a command that Ctrl-C ended."""
-_PATIENCE = 3.0
-"""Time [s] that a process has to end after a second Ctrl-C."""
+"""Exit code of a command that was ended by Ctrl-C."""
+_EXIT_TIMEOUT = 3.0
+"""Time within which a process must end after a second Ctrl-C [s]."""
 
-_interrupted, _insisted, _own_process = threading.Event(), threading.Event(), threading.Event()
+_interrupted, _interrupted_twice, _own_process = threading.Event(), threading.Event(), threading.Event()
 
 
 class Interrupt(KeyboardInterrupt):
-    """Ctrl-C. CPython kills a process in which a plain `KeyboardInterrupt` has left `eval`, even one that caught it."""
+    """Ctrl-C. CPython kills a process in which a plain `KeyboardInterrupt` has left `eval`, even if it was caught."""
 
 
 def enable_interrupt() -> None:
-    """Let Ctrl-C raise a `KeyboardInterrupt`, also if this process was started with SIGINT ignored.
+    """Let Ctrl-C raise a `KeyboardInterrupt`, even if this process was started with SIGINT ignored.
 
-    Shells do so for jobs in the background, and many runners of tests for everything.
+    Shells ignore SIGINT for background jobs, and many test runners for all processes.
     """
     _interrupted.clear()
     default = (signal.SIG_IGN, signal.default_int_handler)
@@ -41,20 +41,21 @@ def enable_interrupt() -> None:
 
 
 def end_when_interrupted() -> None:
-    """Let this process end with an exit code however often Ctrl-C comes: a second one does not interrupt the end.
+    """Let this process end with an exit code however often Ctrl-C is pressed.
 
-    Nor does it wait for the end: libraries may have lost the first `KeyboardInterrupt`, or hold the process.
+    A second Ctrl-C does not interrupt the cleanup, but limits its duration: libraries may have swallowed the first
+    `KeyboardInterrupt`, or may block the process.
     """
     _own_process.set()
     enable_interrupt()
-    # At the interpreter's end, signals with a handler get the system's own again, which kills.
+    # At its exit the interpreter restores the system's default handlers, which would kill the process.
     atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
 
 
 def was_interrupted() -> bool:
     """Return whether Ctrl-C has raised a `KeyboardInterrupt`.
 
-    A library in C may replace that by an error of its own: numpy's comparison of structured arrays does.
+    A C library may replace it by an error of its own, as numpy's comparison of structured arrays does.
     """
     return _interrupted.is_set()
 
@@ -63,46 +64,47 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     if not (_interrupted.is_set() and _own_process.is_set()):
         _interrupted.set()
         raise Interrupt
-    elif not _insisted.is_set():
-        _insisted.set()
-        # `threading` may be at work in what this interrupts, and hold a lock.
+    elif not _interrupted_twice.is_set():
+        _interrupted_twice.set()
+        # The interrupted code may be inside `threading`, holding one of its locks.
         _thread.start_new_thread(_end_soon, ())
 
 
 def _end_soon() -> None:
-    time.sleep(_PATIENCE)
+    time.sleep(_EXIT_TIMEOUT)
     os._exit(INTERRUPTED)
 
 
 class StopSignals:
-    """Count signals while entered, so that they do not end the process.
+    """Context manager that counts stop signals instead of letting them end the process.
 
     Args:
-        names: of the signals.
+        names: names of the signals.
         on_signal: called after each signal with the number of signals so far.
-        respect_nohup: a SIGHUP that is ignored stays so: the process goes on when its terminal is closed.
+        respect_nohup: keep ignoring SIGHUP if it is ignored, so that the process survives the end of its terminal.
     """
 
     def __init__(
         self,
-        names: tuple[str, ...] = ALL,
+        names: tuple[str, ...] = STOP_SIGNALS,
         on_signal: Callable[[int], object] | None = None,
         respect_nohup: bool = False,
     ) -> None:
         self.count = 0
-        """Signals so far."""
+        """Number of signals so far."""
         self.sources: list[Callable[[], int]] = []
-        """Other places from which the operator may stop a robot. Each returns its request, as `stops`, at once."""
+        """Other sources of stop requests, such as a page. Each returns its present request, as `stops`, without
+        waiting."""
         self._names, self._on_signal, self._respect_nohup = names, on_signal, respect_nohup
         self._interrupts = 0
         self._before: dict[int, Any] = {}
 
     @property
     def stops(self) -> int:
-        """Request to a robot. 0: go on; 1: sit down; 2, after Ctrl-C twice: damp at once.
+        """Present stop request to a robot. 0: continue; 1: sit down; 2, after a second Ctrl-C: damp immediately.
 
-        A closing terminal sends several signals, which count once. The most urgent request holds: one that comes again
-        from another place changes nothing.
+        The several signals of a closing terminal count as one. The most urgent request of all sources applies: the
+        same request from a second source does not escalate it.
         """
         signals = min(self._interrupts, DAMP) or (SIT if self.count else 0)
         return max([signals, *(source() for source in self.sources)])

@@ -1,4 +1,4 @@
-"""Tables, as lists of rows or as data frames: written as CSV, as Markdown, or to a terminal."""
+"""Tables (lists of rows or data frames) written as CSV or Markdown, or printed to a terminal."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Rows = Sequence[Mapping[str, object]]
-"""Rows of a table, all with the columns of the first one."""
+"""Rows of a table; all have the same columns as the first."""
 
 
 def with_unit(text: str, unit: str) -> str:
-    """Return a heading such as `speed (m/s)`; the text alone without a unit."""
+    """Return a heading with its unit, such as `speed (m/s)`; only the text if `unit` is empty."""
     return f"{text} ({unit})" if unit else text
 
 
 def plain_value(value: object) -> object:
-    """Return a value as JSON holds it: None for a number that is not finite."""
+    """Return a value for JSON: None for a number that is not finite."""
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def plain_rows(table: Rows | pd.DataFrame) -> list[dict[str, object]]:
-    """Return the rows of a table as JSON holds them."""
+    """Return the rows of a table for JSON, see `plain_value`."""
     rows: Rows = table if isinstance(table, Sequence) else table.to_dict("records")
     return [{name: plain_value(value) for name, value in row.items()} for row in rows]
 
 
 def write_csv(path: str | Path, table: Rows | pd.DataFrame) -> Path:
-    """Write a table as CSV, whole or not at all, with the file's folder; return the path.
+    """Write a table as CSV atomically; its folder is created if necessary. Return the path.
 
-    Numbers have nine significant digits, flags are 0 or 1, and missing values (None or NaN) are empty.
+    Numbers have nine significant digits, booleans are 0 or 1, and missing values (None or NaN) are empty.
     """
     import pandas as pd
 
@@ -48,16 +48,16 @@ def write_csv(path: str | Path, table: Rows | pd.DataFrame) -> Path:
 
 
 def markdown(rows: Rows) -> str:
-    """Return rows as a Markdown table; all columns but the first are aligned to the right."""
+    """Return rows as a Markdown table; all columns except the first are right-aligned."""
     header = list(rows[0])
     lines = [header, ["---", *["---:"] * (len(header) - 1)], *([str(row[name]) for name in header] for row in rows)]
     return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def print_table(rows: Rows, title: str = "", text_columns: int = 1) -> None:
-    """Print one row or more to standard output, numbers aligned to the right; a file gets whole lines.
+    """Print rows (at least one) to standard output, with numbers right-aligned; lines are not wrapped in a file.
 
-    The first `text_columns` columns hold text, which may be folded.
+    The first `text_columns` columns contain text, which may be wrapped on a terminal.
     """
     from rich import box
     from rich.console import Console
@@ -79,7 +79,7 @@ def print_table(rows: Rows, title: str = "", text_columns: int = 1) -> None:
 
 
 def print_files(files: Sequence[Path], folder: Path) -> None:
-    """Print the names of written files, relative to a folder, in one line."""
+    """Print one line with the names of written files, relative to a folder."""
     from rich.console import Console
 
     message = f"wrote {folder}: {', '.join(str(file.relative_to(folder)) for file in files)}"

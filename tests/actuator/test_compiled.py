@@ -1,4 +1,4 @@
-"""Caches of compiled kernels: which files decide that they are stale."""
+"""Caches of compiled kernels: which source files make them stale."""
 
 from pathlib import Path
 

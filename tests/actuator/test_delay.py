@@ -1,4 +1,4 @@
-"""Delayed readings of signals that are known in closed form."""
+"""Delayed readings of signals with a closed form."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from surefoot.actuator.delay import push_kernel, read_kernel
 
 
 class History:
-    """The history of one robot's samples of two numbers."""
+    """History of one robot with samples of two values."""
 
     def __init__(self, times=(), capacity: int = 64) -> None:
         self.times, self.samples, self.count = np.zeros(capacity), np.zeros((capacity, 2)), 0
@@ -29,7 +29,7 @@ class History:
 
 
 def ramp(time: float) -> np.ndarray:
-    """Two straight lines, (2,)."""
+    """Return the values of two linear functions (2,)."""
     return np.array([3.0 * time + 1.0, -2.0 * time])
 
 
@@ -74,13 +74,13 @@ def test_a_full_history_keeps_the_last_samples():
 
 @given(
     gaps=st.lists(st.floats(1e-3, 1.0), min_size=1, max_size=30),
-    share=st.floats(0, 1),
+    fraction=st.floats(0, 1),
     slope=st.floats(-100, 100),
     offset=st.floats(-100, 100),
 )
-def test_a_straight_line_is_read_exactly(gaps: list[float], share: float, slope: float, offset: float):
+def test_a_straight_line_is_read_exactly(gaps: list[float], fraction: float, slope: float, offset: float):
     times, history = np.cumsum([0.0, *gaps]), History()
     for time in times:
         history.push(time, np.array([slope * time + offset, 0.0]))
-    at = share * times[-1]
+    at = fraction * times[-1]
     assert history.read(at)[0] == pytest.approx(slope * at + offset, abs=1e-9)

@@ -1,4 +1,4 @@
-"""Servo, DC motor and joint actuator at points worked by hand; figures of the Minitaur's motor."""
+"""Servo, DC motor and joint actuator at points calculated by hand, with the constants of the Minitaur's motor."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def torque(amperes, strength=1.0):
 @pytest.mark.parametrize(
     ("duty", "speed", "expected"),
     [
-        (1.0, 0.0, 86.0215),  # stall: 16 / .186
+        (1.0, 0.0, 86.0215),  # stall: 16 / 0.186
         (-1.0, 0.0, -86.0215),
-        (0.5, 0.0, 43.0108),  # 8 / .186
-        (1.0, 16.0 / 0.0954, 0.0),  # no load: back-EMF .0954 x 167.715 = 16 V
+        (0.5, 0.0, 43.0108),  # 8 / 0.186
+        (1.0, 16.0 / 0.0954, 0.0),  # no load: back-EMF 0.0954 x 167.715 = 16 V
         (-1.0, -16.0 / 0.0954, 0.0),
-        (1.0, 100.0, 34.7312),  # (16 - 9.54) / .186
-        (0.5, 100.0, -8.2796),  # (8 - 9.54) / .186: the motor brakes
-        (0.0, 100.0, -51.2903),  # -9.54 / .186
+        (1.0, 100.0, 34.7312),  # (16 - 9.54) / 0.186
+        (0.5, 100.0, -8.2796),  # (8 - 9.54) / 0.186: the motor brakes
+        (0.0, 100.0, -51.2903),  # -9.54 / 0.186
         (0.0, 0.0, 0.0),
         # The net voltage is clipped at 50 V.
         (1.0, 1000.0, -50 / 0.186),  # 16 - 95.4 = -79.4 V
@@ -45,7 +45,7 @@ def test_the_current_of_the_motor(duty: float, speed: float, expected: float):
 
 def test_torque_at_stall_and_at_a_working_point():
     assert torque(current(1.0, 0.0)) == 3.5
-    # 34.7312 A is .47312 of the way from 30 A to 40 A: 2.45 + .47312 x .55
+    # 34.7312 A is 0.47312 of the way from 30 A to 40 A: 2.45 + 0.47312 x 0.55
     assert torque(current(1.0, 100.0)) == pytest.approx(2.71022, abs=1e-5)
 
 
@@ -54,7 +54,7 @@ def test_torque_at_stall_and_at_a_working_point():
     [
         *zip(CURRENTS, TORQUES, strict=True),
         (5.0, 0.5),
-        (12.5, 1.225),  # 1 + .25 x .9
+        (12.5, 1.225),  # 1 + 0.25 x 0.9
         (59.0, 3.475),
         (60.1, 3.5),
         (1e6, 3.5),
@@ -85,8 +85,8 @@ def test_coulomb_friction_opposes_motion(speed: float, friction: float):
     [
         (0.0, 0.05, 0.02, 0.0),
         (10.0, 0.0, 0.0, 0.0),
-        (0.05, 0.05, 0.0, -0.0231059),  # tanh(.05 / .1) = .462117
-        (0.05, 0.05, 0.02, -0.0241059),  # and .02 x .05 = .001
+        (0.05, 0.05, 0.0, -0.0231059),  # tanh(0.05 / 0.1) = 0.462117
+        (0.05, 0.05, 0.02, -0.0241059),  # and 0.02 x 0.05 = 0.001
         (-10.0, 0.05, 0.02, 0.25),
         (10.0, 0.0, 0.02, -0.2),
     ],
@@ -103,10 +103,11 @@ def test_friction_dissipates_power():
 @pytest.mark.parametrize(
     ("strength", "viscous", "time_constant"),
     [
-        # J / b of a rotor with .003 kg m^2: .003 / .1.
+        # J / b of a rotor with 0.003 kg m^2: 0.003 / 0.1.
         (0.0, 0.1, 0.030),
         (0.0, 0.02, 0.150),
-        # Its back-EMF at duty 0 brakes it like .1 N m/A x K_t / R = .0512903 N m s/rad: .003 / .0512903 and / .1012903.
+        # Its back-EMF at duty 0 brakes it like 0.1 N m/A x K_t / R = 0.0512903 N m s/rad: 0.003 / 0.0512903, and
+        # 0.003 / 0.1012903 with viscous friction.
         (1.0, 0.0, 0.058491),
         (1.0, 0.05, 0.029618),
     ],
@@ -121,7 +122,7 @@ def test_a_motor_that_turns_freely_slows_with_its_time_constant(strength: float,
 
 
 def test_a_step_of_friction_does_not_reverse_a_motor():
-    # (.05 / .1 + .1) N m s/rad x 1 ms is below the least inertia that a leg of the Minitaur has for one motor, .00064.
+    # (0.05 / 0.1 + 0.1) N m s/rad x 1 ms is below the minimum inertia of a Minitaur leg at one motor, 0.00064 kg m^2.
     speed = np.geomspace(1e-6, 100, 200)
     after = speed + motor_friction(speed, 0.05, 0.1) * 0.001 / 0.00064
     assert np.all(after > 0)
@@ -156,13 +157,13 @@ def test_the_motor_broadcasts_over_robots_and_motors(rng: np.random.Generator):
         (2.0, 2.0, 0.0, 0.0),
         (2.3, 2.0, 0.0, 0.3),
         (1.7, 2.0, 0.0, -0.3),
-        (2.0, 2.0, 10.0, -0.15),  # damping: -.015 x 10
+        (2.0, 2.0, 10.0, -0.15),  # damping: -0.015 x 10
         (2.0, 2.0, -10.0, 0.15),
         (2.3, 2.0, 10.0, 0.15),
         (3.5, 2.0, 0.0, 1.0),
         (0.0, 2.0, 0.0, -1.0),
         (2.0, 2.0, 1000.0, -1.0),
-        (3.5, 2.0, 50.0, 0.75),  # the sum is clipped, not its parts: 1.5 - .75
+        (3.5, 2.0, 50.0, 0.75),  # the sum is clipped, not its parts: 1.5 - 0.75
     ],
 )
 def test_the_duty_of_the_servo(target: float, angle: float, speed: float, expected: float):
@@ -173,9 +174,9 @@ def test_the_duty_of_the_servo(target: float, angle: float, speed: float, expect
     ("target", "angle", "speed", "expected"),
     [
         (0.5, 0.5, 0.0, 0.0),
-        (0.8, 0.5, 0.0, 9.0),  # 30 x .3
+        (0.8, 0.5, 0.0, 9.0),  # 30 x 0.3
         (0.2, 0.5, 0.0, -9.0),
-        (0.5, 0.5, 4.0, -2.0),  # damping: -.5 x 4
+        (0.5, 0.5, 4.0, -2.0),  # damping: -0.5 x 4
         (0.5, 0.5, -4.0, 2.0),
         (0.8, 0.5, 4.0, 7.0),
         (10.5, 0.5, 0.0, 300.0),  # without the limit
@@ -185,7 +186,7 @@ def test_the_torque_of_a_joint_actuators_controller(target: float, angle: float,
     assert joint_torque(target, angle, speed, 30.0, 0.5) == pytest.approx(expected)
 
 
-# An actuator of 20 N m up to 10 rad/s, with none at 30 rad/s: 1 N m less for each rad/s between.
+# An actuator with 20 N m up to 10 rad/s and no torque at 30 rad/s: 1 N m less per rad/s in between.
 @pytest.mark.parametrize(
     ("torque", "speed", "expected"),
     [
@@ -195,13 +196,13 @@ def test_the_torque_of_a_joint_actuators_controller(target: float, angle: float,
         (25.0, 10.0, 20.0),
         (25.0, 15.0, 15.0),
         (-25.0, -15.0, -15.0),
-        (14.0, 15.0, 14.0),  # less than it has
+        (14.0, 15.0, 14.0),  # below the limit
         (25.0, 20.0, 10.0),
         (25.0, 29.0, 1.0),
         (25.0, 30.0, 0.0),
-        (25.0, 45.0, 0.0),  # not less than none: it does not brake by itself
+        (25.0, 45.0, 0.0),  # not negative: the limit does not brake
         (-25.0, -45.0, 0.0),
-        # An actuator that brakes has all its torque at any speed.
+        # A braking actuator has its full torque at any speed.
         (-25.0, 15.0, -20.0),
         (25.0, -15.0, 20.0),
         (-25.0, 45.0, -20.0),

@@ -1,4 +1,4 @@
-"""Readings at random, and adopted policies run step by step as a robot's computer runs them."""
+"""Random readings, and adopted policies that run step by step as on a robot's computer."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from foreign import DATA, Probe, Readings
+from third_party_policies import DATA, Probe, Readings
 
 from surefoot.adopt.builder import build_policy, check_specification
 from surefoot.deploy.controller import Controller
@@ -25,7 +25,7 @@ def go2():
 
 @pytest.fixture(scope="session")
 def random_readings():
-    """Readings of 1000 control steps, of a robot that stumbles."""
+    """Readings of 1000 control steps of a stumbling robot."""
     rng = np.random.default_rng(5)
     angles = np.array([0.0, 0.8, -1.5] * 4)
     return [
@@ -36,7 +36,7 @@ def random_readings():
 
 @pytest.fixture
 def run_controller(go2, a_go2_state):
-    """Return a function that runs a policy file on readings; it returns targets, feedback and commands."""
+    """Return a function that runs a policy file on readings and returns targets, feedback and commands."""
 
     def run(data, readings, command=(0.7, -0.3, 0.5)):
         controller = Controller(PolicyRuntime.parse(data), go2)
@@ -48,8 +48,8 @@ def run_controller(go2, a_go2_state):
                 controller.set_command(command)
             observation = controller.observe(k * controller.contract.control_step, a_go2_state(one))
             target = controller.compute_target(0.0, observation)
-            given = np.zeros(3) if at is None else controller.observation[at : at + 3].copy()
-            results.append((target.copy(), controller.feedback.copy(), given))
+            observed_command = np.zeros(3) if at is None else controller.observation[at : at + 3].copy()
+            results.append((target.copy(), controller.feedback.copy(), observed_command))
         return [np.array(part) for part in zip(*results, strict=True)]
 
     return run
@@ -57,7 +57,7 @@ def run_controller(go2, a_go2_state):
 
 @pytest.fixture
 def a_go2_state():
-    """Return a function that makes a state of the robot from readings."""
+    """Return a function that converts readings to a state message."""
     from surefoot.deploy.messages import State
 
     def make(one: Readings) -> State:
@@ -83,7 +83,7 @@ def a_go2_state():
 
 @pytest.fixture
 def probe_observations(go2, run_controller):
-    """Return a function that gives the network's observations (T, O) of readings, and the commands (T, 3).
+    """Return a function that computes the network's observations (T, O) from readings, and the commands (T, 3).
 
     The network's action is the first part of its observation.
     """
@@ -99,7 +99,7 @@ def probe_observations(go2, run_controller):
 
 @pytest.fixture(scope="session")
 def robot_lab(go2, tmp_path_factory):
-    """The policy robot_lab of rl_sar, adopted from an ONNX file: path of the policy file."""
+    """Path of the policy robot_lab of rl_sar, adopted from an ONNX file."""
     from surefoot.adopt.adoption import adopt
     from surefoot.adopt.torchscript_tracing import trace
 

@@ -1,4 +1,4 @@
-"""Adopted policies compute what their own framework's arithmetic does, on hundreds of random states.
+"""Adopted policies match the arithmetic of their own framework on hundreds of random states.
 
 Observations, and the targets of an action, agree to 1e-6; actions of the network as far as two runtimes do.
 """
@@ -16,19 +16,19 @@ import onnxruntime
 import pytest
 import torch
 import yaml
-from foreign import DATA, DEPLOY, GYM_ORDER, LAB_ORDER, LEGGED_GYM, LONG, MJLAB, POSE, perceptron
-from foreign_deployers import IsaacLab, LeggedGym, RlSar
+from third_party_deployers import IsaacLab, LeggedGym, RlSar
+from third_party_policies import DATA, DEPLOY, GYM_ORDER, LAB_ORDER, LEGGED_GYM, LONG, MJLAB, POSE, perceptron
 
 from surefoot.adopt.adoption import FORMATS, adopt
 
 RUN = 100
-"""Control steps after which memory and histories begin anew."""
+"""Number of control steps after which memory and histories are reset."""
 ACTION = DEPLOY["actions"]["JointPositionAction"]
 
 
 @dataclass
 class Case:
-    """A policy's files, and its deployment by its own framework."""
+    """The files of a policy, and its deployment in its own framework."""
 
     format: str
     network: Path
@@ -37,7 +37,7 @@ class Case:
 
     @cached_property
     def run(self) -> Callable[[np.ndarray], np.ndarray]:
-        """The network from observations (N, O) to actions (N, 12), by the runtime of the framework."""
+        """The network from observations (N, O) to actions (N, 12), in the framework's runtime."""
         if self.network.suffix == ".pt":
             module = torch.jit.load(self.network).eval()
             return lambda observations: module(torch.from_numpy(observations)).detach().numpy()
@@ -117,12 +117,12 @@ def case(request, tmp_path):
 
 
 def runs(readings: list[Any]) -> Iterator[list[Any]]:
-    """Yield parts of readings, one a run."""
+    """Split readings into runs."""
     for start in range(0, len(readings), RUN):
         yield readings[start : start + RUN]
 
 
-def test_observations_are_those_of_the_framework(go2, case, random_readings, probe_observations):
+def test_observations_match_the_framework(go2, case, random_readings, probe_observations):
     kind = FORMATS[case.format]
     config = case.network.parent / kind.configs[0] if kind.configs else case.network
     specification = kind.read(config, go2, {})
@@ -131,20 +131,20 @@ def test_observations_are_those_of_the_framework(go2, case, random_readings, pro
         theirs, expected = case.deployer(), []
         for readings, command in zip(part, commands, strict=True):
             expected.append(theirs.observe(readings, command))
-            theirs.targets(expected[-1][:12])  # the action of a network that shows its observation
+            theirs.targets(expected[-1][:12])  # the action of the probe, which outputs its observation
         np.testing.assert_allclose(mine, expected, rtol=0, atol=1e-6)
 
 
-def test_targets_are_those_of_the_framework(go2, case, random_readings, run_controller):
+def test_targets_match_the_framework(go2, case, random_readings, run_controller):
     data = adopt(case.network, case.format, go2, "policy").data
     for part in runs(random_readings[: case.states]):
         mine, feedback, commands = run_controller(data, part)
         theirs, observed, expected = case.deployer(), [], []
-        keeps = feedback.shape[1] == 24  # its last action, if it observes that
+        keeps = feedback.shape[1] == 24  # the policy stores its last action if it observes it
         for k, (readings, command) in enumerate(zip(part, commands, strict=True)):
             observed.append(theirs.observe(readings, command))
             action = feedback[k, 12:] if keeps else case.run(observed[-1][None])[0]
             expected.append(theirs.targets(action.astype(np.float32)))
         np.testing.assert_allclose(mine, np.clip(expected, *go2.motor_limits), rtol=0, atol=1e-6)
-        if keeps:  # runtimes sum 32-bit numbers in another order
+        if keeps:  # runtimes add 32-bit numbers in different orders
             np.testing.assert_allclose(feedback[:, 12:], case.run(np.array(observed)), rtol=5e-6, atol=5e-6)

@@ -1,4 +1,4 @@
-"""An adopted policy in simulation: it follows commands, and a mistake that makes it fall is found again."""
+"""Simulation of an adopted policy: it follows commands, and a mistake that makes it fall is identified."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.adopt.diagnosis import Diagnosis
-from surefoot.adopt.examination import examine, stated_specification
+from surefoot.adopt.examination import examine, require_specification
 from surefoot.adopt.mistakes import corrections
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.task.contract_mapping import task_from_contract
@@ -23,7 +23,7 @@ def policy(robot_lab):
 
 def test_robot_lab_follows_commands_and_falls_in_another_order_of_legs(go2, policy):
     task = task_from_contract(policy.contract, go2)
-    specification = stated_specification(policy.contract)
+    specification = require_specification(policy.contract)
     (other,) = [one for one in corrections(specification, go2) if one.text.endswith("FL FR RL RR, leg by leg")][:1]
     right, wrong = examine(policy, go2, task, [None, other])
     assert right.commands == ("stand", "forward", "backward", "left", "right", "turn", "curve left", "curve right")
@@ -33,6 +33,6 @@ def test_robot_lab_follows_commands_and_falls_in_another_order_of_legs(go2, poli
     assert right.velocity[5, 2] > 0.3
     assert wrong.score < 0.1
     assert wrong.fell.sum() >= 5
-    # The other way round: with the wrong file, the right order is what makes it walk.
-    diagnosis = Diagnosis.from_answers([replace(wrong, change=None), replace(right, change=other)])
+    # In reverse: for the file with the wrong order, the right order makes it walk.
+    diagnosis = Diagnosis.from_results([replace(wrong, change=None), replace(right, change=other)])
     assert diagnosis.mistake.correction is other

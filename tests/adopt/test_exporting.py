@@ -1,4 +1,4 @@
-"""Policies for other deployers: what is exported and adopted again is the same policy."""
+"""Export to other deployment frameworks: an exported and readopted policy is the same policy."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surefoot.policy.runtime import PolicyRuntime
 
 
 @pytest.mark.parametrize("name", EXPORTERS)
-def test_what_is_exported_and_adopted_again_gives_the_same_angles(
+def test_an_exported_and_readopted_policy_gives_the_same_angles(
     name, go2, robot_lab, tmp_path, run_controller, random_readings
 ):
     policy = PolicyRuntime.load(robot_lab)
@@ -32,9 +32,9 @@ def test_what_is_exported_and_adopted_again_gives_the_same_angles(
 
 @pytest.mark.parametrize(
     ("policy", "message"),
-    [("go2-steer", "a reference gait adds to its actions"), ("go2-scratch", "its actions are no motor angles")],
+    [("go2-steer", "a reference gait adds to its actions"), ("go2-scratch", "its actions are not motor angles")],
 )
-def test_a_policy_that_other_deployers_can_not_run_is_refused(go2, tmp_path, policy, message):
+def test_export_rejects_policies_that_other_frameworks_can_not_run(go2, tmp_path, policy, message):
     path = find_policy(policy)
     with pytest.raises(SurefootError, match=message):
         EXPORTERS["rl_sar"](PolicyRuntime.load(path), path.read_bytes(), go2, tmp_path)

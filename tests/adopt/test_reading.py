@@ -1,4 +1,4 @@
-"""Third-party configurations as people write them: what is read, folded, named, refused, and applied first.
+"""Third-party configurations as people write them: values, computed expressions, notes, errors and overrides.
 
 Networks are random; files are made here, of the kinds in which public ones differ.
 """
@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import yaml
-from foreign import DATA, DEPLOY, perceptron
+from third_party_policies import DATA, DEPLOY, perceptron
 
 from surefoot.adopt.adoption import adopt
+from surefoot.adopt.formats.common import match_joints, unmeasured_reason
 from surefoot.adopt.formats.python_values import Computed, read_classes
-from surefoot.adopt.formats.reading import matched_joints, why_unmeasured
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 
@@ -51,7 +51,7 @@ MANUAL = {
 
 @pytest.fixture
 def take(go2, tmp_path):
-    """Return a function that adopts a random network of a width with a configuration."""
+    """Return a function that adopts a random network of a given width with a configuration."""
 
     def take(kind: str, config, inputs: int = 45, **changes):
         network, path = tmp_path / "policy.onnx", tmp_path / ("config.py" if kind == "legged_gym" else "config.yaml")
@@ -62,7 +62,7 @@ def take(go2, tmp_path):
     return take
 
 
-def refused(take, *words, **options) -> str:
+def rejection(take, *words, **options) -> str:
     with pytest.raises(SurefootError) as caught:
         take(*words, **options)
     assert "\n" not in str(caught.value)
@@ -80,10 +80,10 @@ def refused(take, *words, **options) -> str:
         ("base_pos", "position of the base"),
     ],
 )
-def test_what_no_sensor_gives_is_known_by_its_name(take, name, what):
-    assert what in why_unmeasured(name)
+def test_unmeasured_observations_are_recognized_by_name(take, name, what):
+    assert what in unmeasured_reason(name)
     manual = {**MANUAL, "observations": [{"term": name}, *MANUAL["observations"]]}
-    message = refused(take, "manual", manual, 48)
+    message = rejection(take, "manual", manual, 48)
     assert f"observations[0].term is '{name}', which is the {what}" in message
     assert "did you mean" not in message
 
@@ -91,27 +91,27 @@ def test_what_no_sensor_gives_is_known_by_its_name(take, name, what):
 @pytest.mark.parametrize(
     "name", ["ang_vel", "joint_vel", "dof_velocities", "gyro", "velocity_commands", "gravity", "phase"]
 )
-def test_other_names_are_not_taken_for_what_no_sensor_gives(name):
-    assert why_unmeasured(name) is None
+def test_measured_observations_are_not_mistaken_for_unmeasured_ones(name):
+    assert unmeasured_reason(name) is None
 
 
-def test_joints_match_by_what_frameworks_add_to_their_names(take, go2):
+def test_joints_match_without_the_affixes_of_frameworks(take, go2):
     short = [name.removesuffix("_joint") for name in go2.motor_names]
     specification = take("manual", {**MANUAL, "joints": short})
     assert specification.joints == go2.motor_names
     assert specification.notes["names"] == "names of joints: FR_hip is go2's FR_hip_joint, and so on"
-    assert matched_joints(["fr-hip", "FR.Thigh.joint"], go2.motor_names) == ("FR_hip_joint", "FR_thigh_joint")
-    assert matched_joints(["FR_hip", "FR_knee"], go2.motor_names) is None
-    message = refused(take, "manual", {**MANUAL, "joints": ["FR_knee", *short[1:]]})
+    assert match_joints(["fr-hip", "FR.Thigh.joint"], go2.motor_names) == ("FR_hip_joint", "FR_thigh_joint")
+    assert match_joints(["FR_hip", "FR_knee"], go2.motor_names) is None
+    message = rejection(take, "manual", {**MANUAL, "joints": ["FR_knee", *short[1:]]})
     assert "joints are FR_knee" in message
 
 
-def test_classes_that_stand_alone_are_read_as_nested_ones(take):
+def test_top_level_sections_are_read_as_nested_classes(take):
     flat = "\n".join(line.removeprefix("    ") for line in GYM.splitlines() if not line.startswith("class Config"))
     assert take("legged_gym", flat) == take("legged_gym", GYM)
 
 
-def test_arithmetic_of_literals_is_folded_and_nothing_else():
+def test_only_arithmetic_of_literals_is_evaluated():
     values = read_classes(
         b"""
 HALF = 0.5
@@ -141,20 +141,20 @@ Config.control.decimation = 8 // 2
     assert isinstance(values["sim.dt"], Computed)
 
 
-def test_a_value_that_only_a_run_gives_is_refused(take):
+def test_computed_values_are_rejected(take):
     assert take("legged_gym", GYM.replace("= 0.25", "= 0.5 * 0.5")) == take("legged_gym", GYM)
-    message = refused(take, "legged_gym", GYM.replace("= 0.25", "= scale()"))
+    message = rejection(take, "legged_gym", GYM.replace("= 0.25", "= scale()"))
     assert message.endswith("control.action_scale is computed ('scale()'); write the value itself")
 
 
 @pytest.mark.parametrize("key", ["hip_scale_reduction", "hip_reduction"])
-def test_the_first_joints_of_legs_are_reduced(take, key):
+def test_the_action_scale_of_hips_is_reduced(take, key):
     specification = take("legged_gym", GYM + f"        {key} = 0.5\n")
     assert specification.action_scale == (0.125, 0.25, 0.25) * 4
     assert "0.125 rad" in specification.notes["action_scale"]
 
 
-def test_keys_that_are_not_read_are_named(take):
+def test_unread_keys_are_noted(take):
     more = "        use_filter = True\n        action_scal = 3.0\n    class controll:\n        decimation = 2\n"
     note = take("legged_gym", GYM + more).notes["unread"]
     assert "control.use_filter = True" in note
@@ -165,30 +165,30 @@ def test_keys_that_are_not_read_are_named(take):
     assert "action_filter = 0.8" in take("unitree_rl_lab", deploy, 175).notes["unread"]
 
 
-def test_all_that_is_missing_is_named_at_once_and_options_come_first(take):
+def test_all_missing_keys_are_named_and_options_take_precedence(take):
     bare = {name: value for name, value in MANUAL.items() if name not in ("kp", "kd", "control_step")}
-    assert refused(take, "manual", bare).endswith("kp, kd, control_step are missing; they must be given")
+    assert rejection(take, "manual", bare).endswith("kp, kd, control_step are missing; they must be given")
     assert take("manual", bare, kp=25.0, kd=0.5, control_step=0.02) == take("manual", MANUAL)
     gym = GYM.replace("stiffness", "stifness").replace("damping", "dmping")
-    message = refused(take, "legged_gym", gym)
+    message = rejection(take, "legged_gym", gym)
     assert "control.stiffness (did you mean stifness?), control.damping (did you mean dmping?) are missing" in message
     specification = take("legged_gym", gym, kp=30.0, kd=1.0, control_step=0.01)
     assert (specification.kp, specification.kd, specification.control_step) == (30.0, 1.0, 0.01)
 
 
-def test_a_range_without_zero_is_refused_unless_the_option_replaces_it(take):
+def test_a_range_without_zero_is_rejected_unless_overridden(take):
     ranges = "    class commands:\n        class ranges:\n            lin_vel_x = [0.3, 0.8]\n"
-    message = refused(take, "legged_gym", GYM + ranges)
+    message = rejection(take, "legged_gym", GYM + ranges)
     assert "forward is [0.3, 0.8] m/s, without 0: standing was never trained" in message
-    assert "give --forward 0 0.8 if it stands" in message
+    assert "give --forward 0 0.8 if the policy can stand" in message
     specification = take("legged_gym", GYM + ranges, forward=(0.0, 0.8))
     assert specification.forward == (0.0, 0.8)
     assert specification.notes["stand"] == "trained at forward 0.3 to 0.8 m/s: standing was never trained"
-    message = refused(take, "legged_gym", GYM, forward=(0.4, 1.0))
+    message = rejection(take, "legged_gym", GYM, forward=(0.4, 1.0))
     assert message.startswith("--forward is 0.4 to 1; it must go from 0 or less to 0 or more")
 
 
-def test_notes_stay_in_the_policy(go2, tmp_path):
+def test_notes_are_stored_in_the_policy(go2, tmp_path):
     (tmp_path / "policy.onnx").write_bytes(perceptron(45))
     (tmp_path / "config.py").write_text(GYM + "        use_filter = True\n")
     made = adopt(tmp_path / "policy.onnx", "legged_gym", go2, "x")
@@ -196,26 +196,26 @@ def test_notes_stay_in_the_policy(go2, tmp_path):
     assert "use_filter" in notes["unread"]
 
 
-def test_gravity_of_another_length_or_sign_is_noted(take):
+def test_unusual_gravity_is_noted(take):
     def noted(scale: float) -> str:
         terms = [{**term, "scale": scale} if term["term"] == "gravity" else term for term in MANUAL["observations"]]
         return take("manual", {**MANUAL, "observations": terms}).notes.get("gravity", "")
 
     assert noted(1.0) == ""
-    assert noted(9.81) == "gravity: its length is 9.81, usual is 1"
-    assert "its sign is the other one" in noted(-9.81)
+    assert noted(9.81) == "gravity: its length is 9.81, usually 1"
+    assert "its sign is opposite" in noted(-9.81)
 
 
 def test_constant_inputs_are_noted(take):
     terms = [{"term": "constant", "values": [0, 0, 0]}, *MANUAL["observations"][1:]]
     note = take("manual", {**MANUAL, "observations": terms}).notes["constants"]
-    assert note.startswith("3 of 45 inputs of the network are constants; where one of them changes by 1, the targets")
+    assert note.startswith("3 of 45 inputs of the network are constants; if one of them changes by 1, the targets")
     muted = [{"term": "angular_velocity", "scale": 0.0}, *MANUAL["observations"][1:]]
     assert take("manual", {**MANUAL, "observations": muted}).notes["constants"].startswith("3 of 45 inputs")
 
 
 def flat(**changes) -> dict:
-    """Return a flat table of rl_sar, as before version 3."""
+    """Return a flat table of rl_sar before version 3."""
     (table,) = yaml.safe_load((DATA / "robot_lab" / "config.yaml").read_text()).values()
     table = {key: value for key, value in table.items() if key not in ("joint_mapping", "wheel_indices")}
     return {**table, "framework": "isaacgym", "rows": 4, "cols": 3, "dt": 0.005, "decimation": 4, **changes}
@@ -229,12 +229,12 @@ def test_a_flat_table_of_rl_sar_is_read(take, go2):
     controllers += [name.replace("joint", "controller") for name in go2.motor_names[6:]]
     named = take("rl_sar", flat(joint_controller_names=controllers))
     assert named.joints == (*go2.motor_names[3:6], *go2.motor_names[:3], *go2.motor_names[6:])
-    message = refused(take, "rl_sar", flat(dt=None))
-    assert "rl_sar's format before version 3; dt is missing; it must be given (--control-step would do)" in message
+    message = rejection(take, "rl_sar", flat(dt=None))
+    assert "rl_sar's format before version 3; dt is missing; it must be given (--control-step replaces it)" in message
     assert take("rl_sar", flat(dt=None), control_step=0.02).control_step == 0.02
 
 
-def test_lists_of_isaacsim_are_transposed_unless_the_file_contradicts(take, go2):
+def test_isaacsim_lists_are_transposed_unless_the_file_contradicts(take, go2):
     pose = np.tile([0.1, 0.8, -1.5], 4).tolist()
     specification = take("rl_sar", flat(framework="isaacsim", default_dof_pos=pose))
     assert specification.joints[:5] == (*go2.motor_names[::3], go2.motor_names[1])
@@ -246,23 +246,23 @@ def test_lists_of_isaacsim_are_transposed_unless_the_file_contradicts(take, go2)
     assert "although framework is isaacsim" in by_leg.notes["joints"]
 
 
-def test_a_reduction_of_hips_in_a_table_of_version_3_gives_the_actions_of_its_scale(take):
+def test_hip_reduction_of_version_3_equals_a_reduced_action_scale(take):
     (table,) = yaml.safe_load((DATA / "robot_lab" / "config.yaml").read_text()).values()
     table |= {"dt": 0.005, "decimation": 4}
     reduced = {"action_scale": [0.25] * 12, "hip_scale_reduction": 0.5, "hip_scale_reduction_indices": [0, 3, 6, 9]}
     mine, theirs = take("rl_sar", {"go2/mine": {**table, **reduced}}), take("rl_sar", {"go2/mine": table})
     assert mine.action_scale == theirs.action_scale == (0.125, 0.25, 0.25) * 4
-    message = refused(take, "rl_sar", {"go2/mine": {**table, **reduced, "hip_scale_reduction_indices": [12]}})
+    message = rejection(take, "rl_sar", {"go2/mine": {**table, **reduced, "hip_scale_reduction_indices": [12]}})
     assert "hip_scale_reduction_indices are [12]; there are 12 joints" in message
 
 
-def test_a_network_of_another_width_says_what_it_takes(take):
-    message = refused(take, "manual", MANUAL, 48)
+def test_a_network_with_another_width_is_rejected_with_its_width(take):
+    message = rejection(take, "manual", MANUAL, 48)
     assert "the network takes 48 numbers; the observations are 45: angular_velocity 3 x 1" in message
-    assert message.endswith("3 more could be the speed of the base, which no sensor of a robot gives")
+    assert message.endswith("3 more could be the speed of the base, which no sensor of a robot measures")
 
 
-def test_unitree_rl_labs_folders_are_searched(go2, tmp_path):
+def test_folders_of_unitree_rl_lab_are_searched(go2, tmp_path):
     for name in ("exported", "params"):
         (tmp_path / name).mkdir()
     network = tmp_path / "exported" / "policy.onnx"

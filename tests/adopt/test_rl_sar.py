@@ -1,10 +1,10 @@
-"""Policies of rl_sar: what a contract says of them, and what is refused; for arithmetic see test_arithmetic."""
+"""Policies of rl_sar: their contract, and rejected files; test_arithmetic compares the arithmetic."""
 
 from __future__ import annotations
 
 import pytest
 import yaml
-from foreign import DATA, perceptron
+from third_party_policies import DATA, perceptron
 
 from surefoot.adopt.adoption import adopt
 from surefoot.errors import SurefootError
@@ -18,7 +18,7 @@ def adopted(go2):
     return {name: adopt(path, "rl_sar", go2, name) for name, path in FILES.items()}
 
 
-def test_a_contract_says_what_rl_sars_files_say(adopted):
+def test_the_contract_matches_rl_sars_files(adopted):
     contract = PolicyRuntime.parse(adopted["himloco"].data).contract
     assert (contract.robot, contract.history, contract.control_step) == ("go2", 6, 0.02)
     assert (contract.servo_kp, contract.servo_kd) == (40.0, 1.0)
@@ -37,11 +37,11 @@ def test_a_contract_says_what_rl_sars_files_say(adopted):
         ({"rl_kp": [20.0] * 11}, "kp has 11 numbers; there are 12 joints"),
         ({"joint_mapping": [0] * 12}, "joint_mapping is [0, 0"),
         ({"wheel_indices": [3]}, "robots with wheels can't be adopted"),
-        ({"default_dof_pos": [0.0, 0.8, 1.5] * 4}, "default_pose can't be one of go2"),
+        ({"default_dof_pos": [0.0, 0.8, 1.5] * 4}, "go2 can't reach default_pose"),
         ({"observations": ["ang_vel", "gravity_vec"]}, "the network takes 45 numbers; the observations are 6"),
     ],
 )
-def test_configurations_that_do_not_fit_are_refused_in_one_line(tmp_path, go2, change, message):
+def test_incompatible_configurations_are_rejected_in_one_line(tmp_path, go2, change, message):
     (config,) = yaml.safe_load((FILES["robot_lab"].parent / "config.yaml").read_text()).values()
     changed = {key: value for key, value in {**config, **change}.items() if value is not None}
     path, base = tmp_path / "robot_lab" / "config.yaml", tmp_path / "base.yaml"

@@ -1,4 +1,4 @@
-"""Recordings of driven robots: what a page that is killed leaves, and what a recording that ends becomes."""
+"""Recordings of the drive page: partial files of a killed page, and finished recordings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def robot() -> DrivenRobot:
 
 
 def rows_on_disk(folder: Path, steps: int) -> EpisodeTrace:
-    """Return the one trace that a folder holds, once it has so many control steps."""
+    """Return the only trace in a folder, after it has a given number of control steps."""
     end = time.monotonic() + 20.0
     while True:
         try:
@@ -39,7 +39,7 @@ def rows_on_disk(folder: Path, steps: int) -> EpisodeTrace:
         time.sleep(0.02)
 
 
-def test_of_a_recording_that_is_cut_off_every_written_step_remains(robot: DrivenRobot, tmp_path: Path):
+def test_all_written_steps_of_an_interrupted_recording_are_kept(robot: DrivenRobot, tmp_path: Path):
     recordings = DriveRecordings(tmp_path)
     robot.command([0.3, 0.0, 0.0])
     recordings.start({"steer": robot})
@@ -57,7 +57,7 @@ def test_of_a_recording_that_is_cut_off_every_written_step_remains(robot: Driven
     assert {**cut.meta, "ended": "stopped"} == {**whole.meta, "reason": "cut off"}
 
 
-def test_robots_that_run_together_are_recorded_beside_each_other(robot: DrivenRobot, tmp_path: Path):
+def test_robots_that_run_together_are_recorded_in_separate_files(robot: DrivenRobot, tmp_path: Path):
     ghost, recordings = DrivenRobot(robot.policy, robot.env.task, "mujoco"), DriveRecordings(tmp_path / "deep")
     recordings.start({"steer": robot, "other (ghost)": ghost})
     with pytest.raises(SurefootError, match="html, mp4"):
@@ -70,7 +70,7 @@ def test_robots_that_run_together_are_recorded_beside_each_other(robot: DrivenRo
     assert recordings.files["ghost"].stem == f"{recordings.files['npz'].stem}-ghost"
 
 
-def test_a_folder_that_cannot_be_written_is_refused_before_the_recording(robot: DrivenRobot, tmp_path: Path):
+def test_a_folder_that_cannot_be_written_is_rejected_before_the_recording(robot: DrivenRobot, tmp_path: Path):
     (tmp_path / "file").touch()
     recordings = DriveRecordings(tmp_path / "file" / "recordings")
     with pytest.raises(SurefootError, match="recordings: can't be written: Not a directory"):

@@ -1,4 +1,4 @@
-"""`import surefoot`: its functions, and how little it takes to import it."""
+"""`import surefoot`: its functions, and its import without other packages."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from surefoot.evaluation.runs import summarize
 
 
 def python(code: str, absent: tuple[str, ...] = ()) -> str:
-    """Run code in a new process that lacks packages; return its output."""
+    """Run code in a new process without certain packages; return its output."""
     lack = f"import sys\nfor name in {absent!r}: sys.modules[name] = None\n"
     done = subprocess.run([sys.executable, "-c", lack + code], capture_output=True, text=True, timeout=120, check=True)
     return done.stdout.strip()
 
 
-def test_an_import_brings_no_package_along():
+def test_importing_surefoot_imports_no_other_package():
     output = python("import surefoot; print(surefoot.__version__, {'numpy', 'yaml', 'torch'} & set(sys.modules))")
     assert output == f"{surefoot.__version__} set()"
 
 
-def test_robots_and_errors_need_the_bare_install_alone():
+def test_robots_and_errors_need_only_the_bare_install():
     absent = ("mujoco", "torch", "pandas", "gymnasium", "scipy", "numba", "PIL", "viser")
     code = (
         "import surefoot\nprint(*surefoot.robots())\n"
@@ -46,14 +46,14 @@ def test_robots_and_errors_need_the_bare_install_alone():
     assert error.endswith(f"which is not installed: {install_command('train')}")
 
 
-def test_every_name_is_there_and_others_are_not():
+def test_only_the_listed_names_are_available():
     assert set(surefoot.__all__) <= set(dir(surefoot))
     assert all(getattr(surefoot, name).__doc__ for name in surefoot.__all__)
     with pytest.raises(AttributeError, match="module 'surefoot' has no attribute 'gallop'"):
         _ = surefoot.gallop
 
 
-def test_evaluate_runs_what_it_is_asked_for():
+def test_evaluate_applies_its_arguments():
     policy = surefoot.load("trot")
     assert (policy.name, policy.robot.name) == ("trot", "minitaur")
     assert repr(policy).startswith("<policy trot for robot minitaur: ")
@@ -105,7 +105,7 @@ def test_errors_are_one_line(call, message: str):
     assert "\n" not in str(caught.value)
 
 
-def test_drive_runs_the_robot_that_a_policy_was_loaded_with(tmp_path: Path):
+def test_drive_uses_the_robot_of_a_loaded_policy(tmp_path: Path):
     own = tmp_path / "mine"
     shutil.copytree(surefoot.robots()["minitaur"].folder, own)
     policy = surefoot.load("trot", robot=own)
@@ -130,7 +130,7 @@ def test_settings_change_a_reward_and_an_interrupted_training_is_saved(tmp_path:
     assert surefoot.load(path).name == "trot"
 
 
-def test_a_page_runs_on_when_its_policy_is_moved(tmp_path: Path):
+def test_a_page_continues_when_its_policy_is_moved(tmp_path: Path):
     shutil.copy(surefoot.load("trot").path, tmp_path / "own.onnx")
     page = DrivePage(str(tmp_path / "own.onnx"), "mujoco")
     (tmp_path / "own.onnx").rename(tmp_path / "moved.onnx")
@@ -139,7 +139,7 @@ def test_a_page_runs_on_when_its_policy_is_moved(tmp_path: Path):
     assert page.policies == before
 
 
-def test_packages_that_read_meshes_are_of_an_extra():
+def test_packages_for_meshes_belong_to_an_extra():
     for name in ("trimesh", "collada", "fast_simplification"):
         assert str(describe_missing(ModuleNotFoundError(name=name))).endswith(install_command("sim"))
 
@@ -152,7 +152,7 @@ def test_packages_that_read_meshes_are_of_an_extra():
         (None, "pip install 'surefoot[sim]'"),
     ],
 )
-def test_an_extra_is_installed_from_where_surefoot_was(
+def test_an_extra_is_installed_from_the_source_of_surefoot(
     origin: str | None, command: str, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr("importlib.metadata.distribution", lambda name: SimpleNamespace(read_text=lambda file: origin))

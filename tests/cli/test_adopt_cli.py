@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")
 
-from foreign import perceptron
+from third_party_policies import perceptron
 
 from surefoot.adopt.adoption import FORMATS
 from surefoot.adopt.exporting import EXPORTERS
@@ -45,12 +45,12 @@ def adopted(network, tmp_path):
     return path
 
 
-def test_every_format_can_be_given():
+def test_all_formats_are_choices_of_the_option():
     assert set(get_args(get_type_hints(AdoptCommand)["format"])) == set(FORMATS)
     assert set(get_args(get_type_hints(ExportCommand)["to"])) == set(EXPORTERS)
 
 
-def test_adopt_writes_a_policy_and_says_what_it_assumed(network, tmp_path, capsys):
+def test_adopt_writes_a_policy_and_prints_its_assumptions(network, tmp_path, capsys):
     path = tmp_path / "new" / "mine.onnx"
     words = ["adopt", str(network), "--from", "mjlab", "--robot", "go2", "--out", str(path), "--forward", "-0.3", "0.7"]
     assert main(words) == 0
@@ -65,17 +65,17 @@ def test_adopt_writes_a_policy_and_says_what_it_assumed(network, tmp_path, capsy
     assert json.loads(capsys.readouterr().out)["policy"] == "mine"
 
 
-def test_an_adopted_policy_is_taken_as_any_other(adopted, tmp_path, capsys):
+def test_an_adopted_policy_works_with_other_commands(adopted, tmp_path, capsys):
     assert main(["evaluate", str(adopted), "--episodes", "2", "--duration", "0.4", "--out", str(tmp_path / "out")]) == 0
     assert "falls" in capsys.readouterr().out
     assert main(["show", str(tmp_path / "out" / "episode_000.npz"), "--out", str(tmp_path / "show.html")]) == 0
 
 
-def test_doctor_names_what_it_tried(adopted, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("surefoot.adopt.mistakes._PARTS", ())
+def test_doctor_lists_the_changes_tried(adopted, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("surefoot.adopt.mistakes._CORRECTION_KINDS", ())
     for module in ("examination", "diagnosis"):
-        monkeypatch.setattr(f"surefoot.adopt.{module}.DURATION", 1.0)
-    monkeypatch.setattr("surefoot.adopt.diagnosis.FIRST", 0.2)
+        monkeypatch.setattr(f"surefoot.adopt.{module}.EPISODE_DURATION", 1.0)
+    monkeypatch.setattr("surefoot.adopt.diagnosis.SCREENING_DURATION", 0.2)
     assert main(["doctor", str(adopted), "--threads", "1", "--out", str(tmp_path / "page"), "--json"]) == 3
     result = json.loads(capsys.readouterr().out)
     assert [check["name"] for check in result["checks"]][:2] == ["stand", "forward"]

@@ -1,4 +1,4 @@
-"""`surefoot deploy` and `surefoot doctor` over DDS, against a robot that is a process."""
+"""`surefoot deploy` and `surefoot doctor` over DDS, with a robot emulated by a process."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def body(robot_process: Go2) -> Go2:
 
 
 def deploy(folder: Path, *words: str, event: Callable[[], object] | None = None) -> tuple[int, dict[str, Any], str]:
-    """Run `surefoot deploy` in this process; an event happens while the policy runs."""
+    """Run `surefoot deploy` in this process, and trigger an event while the policy runs."""
     out, err = io.StringIO(), io.StringIO()
     running = threading.Event()
 
@@ -62,7 +62,7 @@ def deploy(folder: Path, *words: str, event: Callable[[], object] | None = None)
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(Watch()),
         mock.patch.multiple("surefoot.deploy.motion_runner", **QUICK),
-        mock.patch.multiple("surefoot.deploy.deployment", PUNCTUAL=20),
+        mock.patch.multiple("surefoot.deploy.deployment", TIMING_STEPS=20),
     ):
         code = main(["deploy", "go2-steer", *LINK, "--out", str(folder), "--json", *words])
     running.set()
@@ -71,7 +71,7 @@ def deploy(folder: Path, *words: str, event: Callable[[], object] | None = None)
 
 
 @pytest.mark.realtime
-def test_a_run_is_recorded_and_ends_with_the_remote_control_and_the_own_controller(body: Go2, tmp_path: Path) -> None:
+def test_a_run_is_recorded_and_ended_by_the_remote_control_or_the_own_controller(body: Go2, tmp_path: Path) -> None:
     body.set(controller="mcf")
     words = ("--duration", "20", "--world-name", "a floor", "--release", "--hand-back")
     code, result, messages = deploy(tmp_path, *words, event=lambda: body.set(stick=0.9))
@@ -87,13 +87,13 @@ def test_a_run_is_recorded_and_ends_with_the_remote_control_and_the_own_controll
     assert {(frame.kp, frame.kd) for frame in held} == {(40.0, 1.0)}  # the policy's
     assert held[0].jump < 0.1
     damped = next(k for k, frame in enumerate(frames) if frame.damps)
-    assert all(frame.damps for frame in frames[damped:])  # it sat before it was disarmed
+    assert all(frame.damps for frame in frames[damped:])  # the robot sat down before it was disarmed
     assert result["frames"]["damaged"] == 0
     assert body.settings.controller == "mcf"
 
 
 @pytest.mark.realtime
-def test_a_fault_is_named_and_ends_the_run(body: Go2, tmp_path: Path) -> None:
+def test_a_fault_is_reported_and_ends_the_run(body: Go2, tmp_path: Path) -> None:
     code, result, _ = deploy(tmp_path, "--duration", "20", event=lambda: body.set(mode=0))
     (run,) = result["runs"]
     assert code == 3
@@ -103,7 +103,7 @@ def test_a_fault_is_named_and_ends_the_run(body: Go2, tmp_path: Path) -> None:
 
 
 @pytest.mark.realtime
-def test_a_robot_is_checked_first_and_not_armed_before_it_is_ready(body: Go2, tmp_path: Path) -> None:
+def test_a_robot_is_not_armed_before_it_has_passed_the_checks(body: Go2, tmp_path: Path) -> None:
     body.set(controller="mcf")
     code, _, messages = deploy(tmp_path)
     assert code == 2

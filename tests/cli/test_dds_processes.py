@@ -1,4 +1,4 @@
-"""`surefoot deploy --link dds` as processes, with a Go2 of the vendor's classes in MuJoCo; and what it refuses."""
+"""`surefoot deploy --link dds` as a process, with a Go2 that uses the vendor's message classes and MuJoCo."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edited import edited_policy
 from fault_bench import QUICK, QUICK_UP
-from processes import refused, run_surefoot
+from processes import assert_rejected, run_surefoot
+from shipped_variants import modified_policy
 
 pytest.importorskip("cyclonedds")
 pytest.importorskip("mujoco")
@@ -32,16 +32,16 @@ from unittest import mock
 from surefoot.cli.main import main
 with (
     mock.patch.multiple("surefoot.deploy.motion_runner", **{QUICK!r}),
-    mock.patch.multiple("surefoot.deploy.deployment", PUNCTUAL=20),
+    mock.patch.multiple("surefoot.deploy.deployment", TIMING_STEPS=20),
 ):
     sys.exit(main(sys.argv[1:]))
 """
-"""A surefoot that stands up in a second."""
+"""Return a `surefoot` program that lets the robot stand up within a second."""
 
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., tuple[Robot, Witness, Deploy]]]:
-    """Start a robot and a deployment that end with the test."""
+    """Start a robot and a deployment, which are ended with the test."""
     started: list[Robot | Deploy] = []
     witnesses: list[Witness] = []
 
@@ -62,7 +62,9 @@ def start(tmp_path: Path) -> Iterator[Callable[..., tuple[Robot, Witness, Deploy
 
 
 @pytest.mark.realtime
-def test_a_robot_of_the_vendors_classes_stands_up_and_sits(start: Callable[..., tuple[Robot, Witness, Deploy]]) -> None:
+def test_a_robot_with_the_vendors_classes_stands_up_and_sits_down(
+    start: Callable[..., tuple[Robot, Witness, Deploy]],
+) -> None:
     robot, witness, deploy = start("--duration", "0.5")
     watch(deploy, witness, [], 60.0)
     code, report, errors = deploy.result()
@@ -80,7 +82,9 @@ def test_a_robot_of_the_vendors_classes_stands_up_and_sits(start: Callable[..., 
 
 
 @pytest.mark.realtime
-def test_a_loop_that_is_killed_while_the_robot_stands_up(start: Callable[..., tuple[Robot, Witness, Deploy]]) -> None:
+def test_the_robot_is_damped_if_the_loop_is_killed_while_it_stands_up(
+    start: Callable[..., tuple[Robot, Witness, Deploy]],
+) -> None:
     robot, witness, deploy = start()
     killed: list[int] = []
 
@@ -108,11 +112,13 @@ def link(domain: int) -> tuple[str, ...]:
     return "--link", "dds", "--interface", "lo", "--domain", str(domain)
 
 
-def test_a_domain_without_a_robot_is_refused() -> None:
-    refused(run_surefoot("deploy", "go2-steer", *link(EMPTY)), f"interface lo, domain {EMPTY}: no state of a robot")
+def test_a_domain_without_a_robot_is_rejected() -> None:
+    assert_rejected(
+        run_surefoot("deploy", "go2-steer", *link(EMPTY)), f"interface lo, domain {EMPTY}: no state of a robot"
+    )
 
 
-def test_messages_of_another_robots_type_are_refused(tmp_path: Path) -> None:
+def test_messages_of_another_robot_type_are_rejected(tmp_path: Path) -> None:
     """A G1 sends `unitree_hg` messages on the same topic."""
     from unitree_sdk2py.idl.unitree_hg.msg.dds_ import LowState_
 
@@ -121,19 +127,21 @@ def test_messages_of_another_robots_type_are_refused(tmp_path: Path) -> None:
     done = run_surefoot("deploy", "go2-steer", *link(EMPTY))
     del writer
     other.close()  # a process has one domain
-    refused(done, "rt/lowstate is of type", "unitree_hg", types.GO_LOW_STATE)
+    assert_rejected(done, "rt/lowstate is of type", "unitree_hg", types.GO_LOW_STATE)
 
 
-def test_messages_of_another_length_are_refused(body: Go2) -> None:
+def test_messages_of_another_length_are_rejected(body: Go2) -> None:
     body.set(short=True)
-    refused(run_surefoot("deploy", "go2-steer", *link(DOMAIN)), "no state of a Go2 comes on rt/lowstate", "bytes")
+    assert_rejected(
+        run_surefoot("deploy", "go2-steer", *link(DOMAIN)), "no state of a Go2 comes on rt/lowstate", "bytes"
+    )
     assert body.read() == []
     body.reset()
 
 
-def test_a_policy_of_another_rate_is_refused(body: Go2, tmp_path: Path) -> None:
+def test_a_policy_with_another_rate_is_rejected(body: Go2, tmp_path: Path) -> None:
     body.reset()
-    policy = edited_policy(tmp_path / "p.onnx", lambda contract: contract.update(control_step=0.011), "go2-steer")
+    policy = modified_policy(tmp_path / "p.onnx", lambda contract: contract.update(control_step=0.011), "go2-steer")
     done = run_surefoot("deploy", policy, *link(DOMAIN), cwd=tmp_path)
     assert done.returncode == 2
     phase, error = done.stderr.splitlines()

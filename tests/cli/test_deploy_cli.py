@@ -1,4 +1,4 @@
-"""`surefoot deploy` against the emulator on a pseudo-terminal; killed, it is a process."""
+"""`surefoot deploy` with the emulator on a pseudo-terminal, in this process or (to be killed) in another one."""
 
 from __future__ import annotations
 
@@ -17,16 +17,17 @@ from unittest import mock
 import numpy as np
 import pytest
 from fault_bench import QUICK
-from processes import SUREFOOT, EmulatorHere, emulators, refused, surefoot
+from processes import SUREFOOT, EmulatorHere, assert_rejected, emulators, surefoot
 
 from surefoot.deploy.motion_capture import read_capture
+from surefoot.evaluation.estimated_motion import with_estimated_motion
 from surefoot.evaluation.recorded import find_traces
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_yaw
 from surefoot.task.config import load_task
 from surefoot.task.contract_mapping import contract_from_task
-from surefoot.task.height_scan import MAP, scan_heights
+from surefoot.task.height_scan import POLICY_GRID, scan_heights
 from surefoot.task.partial_trace import recover
 from surefoot.task.trace import EpisodeTrace
 
@@ -41,14 +42,14 @@ PATIENCE = 120.0
 
 @pytest.fixture
 def emulate() -> Iterator[Callable[..., EmulatorHere]]:
-    """Start emulators in lockstep that end with the test."""
+    """Start emulators in lockstep, which are ended with the test."""
     with emulators(EmulatorHere) as start:
         yield lambda *options: start("--lockstep", *options)
 
 
 @pytest.fixture
 def quick() -> Iterator[None]:
-    """Let robots that sit stand up sooner."""
+    """Shorten the time in which sitting robots stand up."""
     with mock.patch.multiple("surefoot.deploy.motion_runner", **QUICK):
         yield
 
@@ -57,9 +58,9 @@ def deploy(port: str, *options: object, cwd: Path | None = None) -> subprocess.C
     return surefoot("deploy", "trot", "--port", port, "--lockstep", *options, cwd=cwd)
 
 
-def test_the_trot_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
+def test_the_trot_covers_the_same_distance_as_in_simulation(emulate, tmp_path, repository):
     capture, robot = tmp_path / "capture.csv", emulate("--ideal-sensors")
-    robot.board.on_step.append(CaptureWriter(capture, robot.board.plant).see)
+    robot.board.on_step.append(CaptureWriter(capture, robot.board.plant).update)
     done = deploy(robot.port, "--out", str(tmp_path / "out"), "--motion-capture", str(capture), "--json")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
@@ -73,6 +74,9 @@ def test_the_trot_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
     trace = EpisodeTrace.load(run["trace"])
     assert trace.base_position_world[0, :2] == pytest.approx(0.0, abs=1e-9)
     assert trace.base_position_world[-1, 0] == pytest.approx(run["distance"])
+    blind = {name: np.full_like(getattr(trace, name), np.nan) for name in ("base_position_world", "base_quat_world")}
+    estimated = with_estimated_motion(replace(trace, **blind), trace.load_robot())
+    assert estimated.base_position_world[-1, 0] == pytest.approx(run["distance"], rel=0.03)
     assert trace.feedback == pytest.approx(policy.feedback(trace.observation), abs=1e-5)
     assert trace.observation[1:, 0] == pytest.approx(trace.roll_pitch_yaw[:-1, 0], abs=1e-7)
     assert_readings_are_20_ms_old(trace, capture)
@@ -82,7 +86,7 @@ def test_the_trot_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
     assert json.loads(read.stdout)["speed_mean"] == pytest.approx(run["speed"])
 
 
-def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, tmp_path, repository):
+def test_a_policy_with_foot_trajectories_covers_the_same_distance_as_in_simulation(emulate, tmp_path, repository):
     pytest.importorskip("torch")
     from surefoot.learn.config import load_train_config
     from surefoot.learn.ppo_learner import PpoLearner
@@ -94,7 +98,7 @@ def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, t
     assert (PolicyRuntime.load(policy).contract.reference or {})["kind"] == "foot"
     simulated = json.loads(surefoot("evaluate", policy, "--episodes", "3", "--json").stdout)
     robot = emulate("--ideal-sensors")
-    robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).see)
+    robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).update)
     words = ("--lockstep", "--out", tmp_path / "out", "--motion-capture", tmp_path / "capture.csv", "--json")
     done = surefoot("deploy", policy, "--port", robot.port, *words)
     assert done.returncode == 0, done.stderr
@@ -105,12 +109,12 @@ def test_a_policy_over_foot_trajectories_goes_as_far_as_in_simulation(emulate, t
 
 def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
     robot = emulate("--robot", "go2", "--ideal-sensors", "--set", "servo_kp=40", "servo_kd=1")
-    robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).see)
+    robot.board.on_step.append(CaptureWriter(tmp_path / "capture.csv", robot.board.plant).update)
     rows = ("time,forward,sideways,yaw_rate", "0.5,0.5,0,0", "2.5,0,0,0", "3.3,0,0,0.6", "5.3,0,0,0", "5.9,0,0,9")
     (tmp_path / "way.csv").write_text("\n".join(rows))
     words = ("deploy", "go2-steer", "--port", robot.port, "--lockstep", "--out", tmp_path / "out")
-    # Invalid commands are refused before anything is sent to the robot.
-    refused(surefoot(*words, "--commands", tmp_path / "none.csv"), "none.csv")
+    # Invalid commands are rejected before anything is sent to the robot.
+    assert_rejected(surefoot(*words, "--commands", tmp_path / "none.csv"), "none.csv")
     done = surefoot(
         *(*words, "--commands", tmp_path / "way.csv", "--duration", "6"),
         *("--motion-capture", tmp_path / "capture.csv", "--json"),
@@ -132,13 +136,14 @@ def test_a_file_of_commands_steers_the_robot(emulate, tmp_path, repository):
     assert quat_yaw(trace.base_quat_world)[[at[1], -1]] == pytest.approx([0.0, 1.2], abs=0.15)
 
 
-def test_a_policy_without_commands_is_not_steered(emulate):
-    refused(deploy(emulate().port, "--commands", "5555"), "--commands is given; policy 'trot' has no commands")
+def test_a_policy_without_commands_rejects_a_source_of_commands(emulate):
+    done = deploy(emulate().port, "--commands", "5555")
+    assert_rejected(done, "--commands is given; policy 'trot' follows no commands")
 
 
 @pytest.fixture
 def seeing(tmp_path: Path) -> Path:
-    """A policy of Go2 that sees the ground and adds nothing to its reference."""
+    """Return a perceptive policy for the Go2 whose feedback is zero."""
     torch = pytest.importorskip("torch")
     from surefoot.policy.export import export_policy
 
@@ -152,7 +157,7 @@ def seeing(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_policy_sees_the_step_that_an_emulated_robot_stands_before(seeing: Path, tmp_path: Path) -> None:
+def test_a_policy_observes_the_step_in_front_of_an_emulated_robot(seeing: Path, tmp_path: Path) -> None:
     heights = np.where(np.arange(81)[:, None] * 0.05 - 2.0 > 0.52, 0.1, np.zeros((81, 81)))
     np.savez(tmp_path / "step.npz", heights=heights, cell=0.05)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
@@ -164,7 +169,7 @@ def test_a_policy_sees_the_step_that_an_emulated_robot_stands_before(seeing: Pat
     ground = ("--terrain", tmp_path / "step.npz", "--height-map", port, *exact, "--out", capture)
     with emulators() as start:
         words = ("deploy", seeing, "--port", start(*robot, *ground).port, "--lockstep", "--out", tmp_path / "out")
-        refused(surefoot(*words), "policy 'seeing' sees the ground; give --height-map PORT")
+        assert_rejected(surefoot(*words), "policy 'seeing' sees the ground; give --height-map PORT")
         done = surefoot(*words, "--height-map", port, "--duration", "0.5", "--json")
     assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)["runs"]
@@ -176,18 +181,18 @@ def test_a_policy_sees_the_step_that_an_emulated_robot_stands_before(seeing: Pat
     position, quat = (np.array([rows[name][at] for name in names]) for names in ("xyz", ("qw", "qx", "qy", "qz")))
     expected = scan_heights(
         read_map(tmp_path / "step.npz"),
-        MAP.points(RobotDescription.load("go2")),
+        POLICY_GRID.points(RobotDescription.load("go2")),
         position[None],
         np.atleast_1d(quat_yaw(quat)),
     )[0]
-    # Points on the slope of the step would tell a millimetre.
+    # Points on the slope of the step would reveal an error of a millimetre.
     on_step = np.abs(expected + position[2] - 0.05) < 0.0499
     assert seen[~on_step] == pytest.approx(expected[~on_step], abs=0.005)
     assert np.ptp(seen) == pytest.approx(0.1, abs=0.005)
 
 
 def assert_readings_are_20_ms_old(trace: EpisodeTrace, capture: Path) -> None:
-    """The pitch of a row is that of motion capture 20 ms before the row's end."""
+    """Check that the pitch in a row equals motion capture 20 ms before the end of the row."""
     with capture.open() as file:
         rows = np.array([[float(word) for word in row] for row in list(csv.reader(file))[1:]])
     w, x, y, z = rows[:, 4:8].T
@@ -251,14 +256,14 @@ def test_a_dry_run_moves_no_motor_and_writes_no_file(emulate, tmp_path):
 
 
 @pytest.mark.usefixtures("quick")
-def test_without_a_folder_traces_go_to_deploy_and_without_motion_capture_they_lack_the_base(emulate, tmp_path):
+def test_traces_default_to_deploy_and_lack_the_base_without_motion_capture(emulate, tmp_path):
     done = deploy(emulate().port, "--duration", "0.1", "--motion-capture", "none.csv", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "none.csv: can't be read: No such file or directory; the trace has no base motion" in done.stdout
     assert np.isnan(EpisodeTrace.load(tmp_path / "deploy" / "run_000.npz").base_position_world).all()
 
 
-def test_a_killed_host_leaves_its_run_behind_and_loses_the_robot_to_the_next_one(emulate, tmp_path):
+def test_a_killed_host_leaves_its_trace_and_the_next_host_gets_the_robot(emulate, tmp_path):
     port = emulate().port
     command = [*SUREFOOT, "deploy", "trot", "--port", port, "--lockstep", "--duration", "60", "--out", str(tmp_path)]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
@@ -282,7 +287,7 @@ def test_a_killed_host_leaves_its_run_behind_and_loses_the_robot_to_the_next_one
 
 
 def test_deploy_reports_a_silent_robot_in_one_line(tmp_path):
-    """A port with nobody behind it."""
+    """Use a port without a robot."""
     master, slave = os.openpty()
     try:
         done = surefoot("deploy", "trot", "--port", os.ttyname(slave))

@@ -1,6 +1,6 @@
-"""`surefoot deploy --browser`: the robot's own state on a page in a real browser, and commands from there.
+"""`surefoot deploy --browser`: the robot's state on a page in a real browser, and commands from the page.
 
-Also its buttons, from a web socket, and what happens to the robot when the page's process is killed.
+Also its buttons, through a web socket, and the robot's reaction when the page's process is killed.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
-from processes import SUREFOOT, Emulator, refused, run_surefoot
+from processes import SUREFOOT, Emulator, assert_rejected, run_surefoot
 
 from surefoot.task.trace import EpisodeTrace
 
@@ -47,7 +47,7 @@ def page(tmp_path: Path) -> Iterator[Page]:
 
 @in_browser
 @pytest.mark.realtime
-def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
+def test_a_page_steers_the_robot_which_stands_after_the_page_is_closed(
     emulate: Callable[..., Emulator], page: Page, tmp_path: Path
 ):
     robot = emulate("--robot", "go2", "--ideal-sensors", "--set", "servo_kp=40", "servo_kd=1")
@@ -64,7 +64,7 @@ def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
         hold_stick(page, 0.2, 0.0)
         page.wait_for_timeout(2500)
         assert page.evaluate("points[points.length - 1].heat") > 20.0  # degC, as the robot tells it
-        # No tab, no fresh command: the robot stands.
+        # Without a tab there is no recent command, so the robot stands.
         page.goto("about:blank")
         page.wait_for_timeout(2500)
         page.goto(address)
@@ -89,7 +89,7 @@ def test_a_page_drives_the_robot_which_stands_once_it_is_closed(
 
 @pytest.fixture
 def deploy_page() -> Iterator[DeployPage]:
-    """Return the real page of a robot, in its process."""
+    """Yield the page of a robot in its process."""
     limits = CommandLimits((-1.0, 1.0), (-0.5, 0.5), (-1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0))
     page = DeployPage("title", str(RobotDescription.load("go2").folder), "go2-steer", limits, 0, 0)
     yield page
@@ -97,14 +97,14 @@ def deploy_page() -> Iterator[DeployPage]:
 
 
 def wait_for(page: DeployPage, stops: int) -> None:
-    """Wait until the page requests so."""
+    """Wait until the page sends a given stop request."""
     end = time.monotonic() + 30.0
     while page.stops() != stops:
         assert time.monotonic() < end
         time.sleep(0.01)
 
 
-def test_a_second_press_of_sit_changes_nothing_and_damp_is_a_button_of_its_own(deploy_page: DeployPage):
+def test_a_second_press_of_sit_has_no_effect_and_damp_is_a_separate_button(deploy_page: DeployPage):
     assert deploy_page.stops() == 0
     with open_tab(deploy_page.address) as tab:
         tab.send('{"stop": true}')
@@ -119,14 +119,14 @@ def test_a_second_press_of_sit_changes_nothing_and_damp_is_a_button_of_its_own(d
         wait_for(deploy_page, DAMP)
 
 
-def test_a_tab_that_watches_stops_the_robot_and_does_not_drive_it(deploy_page: DeployPage):
+def test_a_watching_tab_can_stop_but_not_steer_the_robot(deploy_page: DeployPage):
     host = deploy_page.address.split("/")[2]
     with open_tab(deploy_page.address), connect(f"ws://{host}/socket", origin=f"http://{host}") as watcher:  # type: ignore[arg-type]
         for text in ('{"command": [1, 0, 0]}', '{"stop": true, "command": [1, 0, 0]}', '{"stop": true, "moved": 1}'):
             watcher.send(text)
             while (answer := json.loads(watcher.recv(timeout=10)).get("error")) is None:
                 pass
-            assert answer == "you watch; another browser drives"
+            assert answer == "you are watching; another browser is in control"
         assert deploy_page.stops() == 0
         watcher.send('{"stop": true}')
         wait_for(deploy_page, SIT)
@@ -146,7 +146,7 @@ def test_a_connection_with_too_many_messages_is_closed(deploy_page: DeployPage, 
         assert deploy_page.stops() == 0
 
 
-def test_there_are_sixteen_views_at_most(deploy_page: DeployPage):
+def test_the_number_of_views_is_limited_to_sixteen(deploy_page: DeployPage):
     host = deploy_page.address.split("/")[2]
     with ExitStack() as stack:
         views = [stack.enter_context(connect(f"ws://{host}/viser", origin=f"http://{host}")) for _ in range(17)]  # type: ignore[arg-type]
@@ -155,7 +155,7 @@ def test_there_are_sixteen_views_at_most(deploy_page: DeployPage):
         assert deploy_page.stops() == 0
 
 
-def test_the_robot_is_to_sit_when_the_pages_process_is_killed(
+def test_the_robot_sits_down_when_the_pages_process_is_killed(
     deploy_page: DeployPage, capsys: pytest.CaptureFixture[str]
 ):
     assert deploy_page.stops() == 0
@@ -215,7 +215,7 @@ def test_buttons_and_a_killed_page_stop_the_robot(
     assert ("page's process has ended" in errors) == (what == "kill")
 
 
-def test_drive_page_refuses_incompatible_options():
+def test_drive_page_rejects_incompatible_options():
     command = ("deploy", "go2-steer", "--port", "x", "--browser")
-    refused(run_surefoot(*command, "--commands", "5555"), "commands come from one place")
-    refused(run_surefoot(*command, "--lockstep"), "a page drives in real time")
+    assert_rejected(run_surefoot(*command, "--commands", "5555"), "commands come from one source")
+    assert_rejected(run_surefoot(*command, "--lockstep"), "a page runs in real time")

@@ -13,7 +13,7 @@ from typing import Any
 from unittest import mock
 
 import pytest
-from processes import Emulator, EmulatorHere, emulators, refused, run_surefoot, surefoot
+from processes import Emulator, EmulatorHere, assert_rejected, emulators, run_surefoot, surefoot
 
 pytest.importorskip("mujoco")
 onnx = pytest.importorskip("onnx")
@@ -24,7 +24,7 @@ QUICK = ("--pings", "40", "--steps", "50")
 
 @pytest.fixture(scope="module")
 def port_of() -> Iterator[Callable[..., str]]:
-    """Give the port of a robot in lockstep with the words of `surefoot emulate`, the same one for the same words."""
+    """Return a function from arguments of `surefoot emulate` to the port of a robot in lockstep, which is reused."""
     with emulators(EmulatorHere) as start:
         yield functools.cache(lambda *words: start("--lockstep", *words).port)
 
@@ -32,7 +32,7 @@ def port_of() -> Iterator[Callable[..., str]]:
 def doctor(
     policy: object, port: object, *words: str, run: Callable[..., subprocess.CompletedProcess[str]] = surefoot
 ) -> tuple[int, dict[str, dict[str, Any]]]:
-    """Exit code and checks by name."""
+    """Return the exit code, and the checks by name."""
     done = run("doctor", policy, "--port", port, *QUICK, "--json", *words)
     assert done.returncode in (0, 3), done.stderr
     data = json.loads(done.stdout)
@@ -45,7 +45,7 @@ def failed(checks: dict[str, dict[str, Any]]) -> list[str]:
     return [name for name, one in checks.items() if one["passed"] is False]
 
 
-# A robot that is well.
+# A healthy robot.
 
 
 def test_a_healthy_robot_passes_all_on_its_rack(port_of: Callable[..., str]):
@@ -82,13 +82,13 @@ def test_a_healthy_robot_passes_in_real_time(emulate: Callable[..., Emulator], t
     assert checks["inference"]["value"] < 0.001
 
 
-# Robots with faults.
+# Faulty robots.
 
 
 @pytest.mark.parametrize(
     ("fault", "check", "why"),
     [
-        ("other-robot", "robot", "it is 'not-minitaur', the data sheet is of 'minitaur'"),
+        ("other-robot", "robot", "it is 'not-minitaur'; the data sheet is for 'minitaur'"),
         ("other-order", "motors", "motor 0 is 'front_left_1_motor' (robot), 'front_left_2_motor' (data sheet)"),
         ("other-gains", "servo gains", "the robot's servos have kp 1.5 and kd 0.0225"),
         ("slow-servo", "servo period", "2 ms; the data sheet says 1 ms"),
@@ -106,11 +106,16 @@ def test_doctor_fails_on_another_robot_before_motion(fault: str, check: str, why
         (
             "swap-motors=2",
             "motors, one by one",
-            "back_left_1_motor, asked to go",
-            "exchanged: back_left_2_motor with back_left_1_motor",
+            "back_left_1_motor, commanded to move",
+            "swapped: back_left_2_motor and back_left_1_motor",
         ),
-        ("flip-sign=3", "motors, one by one", "back_left_1_motor went", "its sign, of motor or encoder, is flipped"),
-        ("late-states=0.015", "control latency", "the policy was trained with 20 ms", "find what delays the readings"),
+        ("flip-sign=3", "motors, one by one", "back_left_1_motor moved", "the sign of this motor or encoder is wrong"),
+        (
+            "late-states=0.015",
+            "control latency",
+            "the policy was trained with 20 ms",
+            "find out what delays the readings",
+        ),
     ],
 )
 def test_faults_of_motors_fail_on_the_rack(fault: str, check: str, why: str, todo: str, port_of: Callable[..., str]):
@@ -120,8 +125,8 @@ def test_faults_of_motors_fail_on_the_rack(fault: str, check: str, why: str, tod
     assert todo in checks[check]["remedy"]
 
 
-def test_a_mirrored_encoder_fails_at_rest_or_as_soon_as_motors_hold(port_of: Callable[..., str]):
-    """On the ground the legs are folded, and another reading stands out; of hanging legs it may not."""
+def test_a_mirrored_encoder_fails_at_rest_or_when_motors_hold(port_of: Callable[..., str]):
+    """On the ground the legs are folded, so a wrong reading is noticed; with hanging legs it may not be."""
     _, checks = doctor("trot", port_of("--fault", "flip-encoder=3"), "--lockstep")
     assert failed(checks) == ["encoders"]
     assert checks["encoders"]["message"].startswith("back_left reads")
@@ -132,7 +137,7 @@ def test_a_mirrored_encoder_fails_at_rest_or_as_soon_as_motors_hold(port_of: Cal
 def test_an_imu_with_exchanged_axes_fails_on_the_ground(port_of: Callable[..., str]):
     _, checks = doctor("trot", port_of("--fault", "imu-flip=0"), "--lockstep", "--ground", "--yes")
     assert failed(checks) == ["IMU, nose down", "IMU, left side down"]
-    assert all("the IMU's x and y are exchanged" in checks[check]["remedy"] for check in failed(checks))
+    assert all("x and y of the IMU are swapped" in checks[check]["remedy"] for check in failed(checks))
 
 
 def test_a_line_that_damages_frames_fails(port_of: Callable[..., str]):
@@ -145,11 +150,13 @@ def test_a_line_that_damages_frames_fails(port_of: Callable[..., str]):
 def test_without_a_terminal_motors_move_only_with_yes(option: str, place: str):
     with open(os.devnull) as nothing, mock.patch("sys.stdin", nothing):
         done = surefoot("doctor", "trot", "--port", "/dev/none", option)
-    refused(done, f"motors will move and the robot must {place}")
-    assert done.stderr.endswith("say so with --yes\n")
+    assert_rejected(done, f"motors will move and the robot must {place}")
+    assert done.stderr.endswith("confirm it with --yes\n")
 
 
-@pytest.mark.parametrize(("answer", "message"), [(b"n\n", "not begun; nothing has moved"), (b"y\n", "can't be opened")])
+@pytest.mark.parametrize(
+    ("answer", "message"), [(b"n\n", "not confirmed; nothing has moved"), (b"y\n", "can't be opened")]
+)
 def test_on_a_terminal_the_doctor_asks_before_motors_move(answer: bytes, message: str):
     ours, theirs = pty.openpty()
     os.write(ours, answer)
@@ -157,5 +164,5 @@ def test_on_a_terminal_the_doctor_asks_before_motors_move(answer: bytes, message
         done = surefoot("doctor", "trot", "--port", "/dev/none", "--rack")
     os.close(ours)
     assert done.returncode == 2
-    assert "Motors will move. Does the robot hang free, its legs in the air? [y/N]" in done.stderr
+    assert "Motors will move. Does the robot hang freely, with its legs in the air? [y/N]" in done.stderr
     assert message in done.stderr

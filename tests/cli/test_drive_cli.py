@@ -1,4 +1,4 @@
-"""The drive page in a real browser, measured in the simulation behind it; and the messages that it refuses."""
+"""Drive page in a real browser, with its effects measured in the simulation; and messages that it rejects."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Running:
-    """A drive page that runs in a thread."""
+    """Drive page that runs in a thread."""
 
     drive: DrivePage
     server: PageServer
@@ -52,14 +52,14 @@ class Running:
         return self.drive.robot.rows[-1]
 
     def until(self, holds: Callable[[], object]) -> None:
-        """Wait until something holds."""
+        """Wait until a condition holds."""
         end = time.monotonic() + 60.0
         while not holds():
             assert time.monotonic() < end
             time.sleep(0.02)
 
     def measure(self, seconds: float) -> list[DrivenStep]:
-        """Return the control steps of some simulated time [s] from now on."""
+        """Return the rows of the next control steps, for a simulated time [s]."""
         robot, begin = self.drive.robot, self.drive.robot.time
         self.until(lambda: robot.time >= begin + seconds)
         return [row for row in list(robot.rows) if row.time > begin]
@@ -67,7 +67,7 @@ class Running:
 
 @contextmanager
 def drive_page(folder: Path) -> Iterator[Running]:
-    """Run a drive page while entered."""
+    """Context manager that runs a drive page."""
     drive, view, stop = DrivePage("go2-steer", "mujoco", recordings=folder), RobotView(), threading.Event()
     server = PageServer(None, 0, view.port)
     thread = threading.Thread(target=drive.run, args=(server, view, stop))
@@ -89,12 +89,12 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
 
 @pytest.fixture
 def alone(tmp_path: Path) -> Iterator[Running]:
-    """Return a page that no browser has open."""
+    """Yield a drive page that is not open in a browser."""
     with drive_page(tmp_path) as page:
         yield page
 
 
-# These come first: while no browser's tab is open, their web sockets drive.
+# These tests come first: their web sockets are in control only while no browser tab is open.
 
 
 def open_socket(server: PageServer) -> Any:
@@ -110,13 +110,13 @@ def read_error(line: Any) -> str:
 
 @pytest.mark.parametrize("path", ["socket", "viser"])
 @pytest.mark.parametrize("origin", ["http://example.org", "http://localhost:1", "null"])
-def test_socket_refuses_a_foreign_origin(running: Running, path: str, origin: str):
+def test_socket_rejects_a_foreign_origin(running: Running, path: str, origin: str):
     with pytest.raises(websockets.InvalidStatus) as caught:
         connect(f"ws://localhost:{running.server.port}/{path}", origin=origin)  # type: ignore[arg-type]
     assert caught.value.response.status_code == 403
 
 
-def test_server_refuses_another_sites_name_and_other_files(running: Running):
+def test_server_rejects_foreign_host_names_and_other_files(running: Running):
     url = f"http://127.0.0.1:{running.server.port}/"
     with pytest.raises(urllib.error.HTTPError, match="403"):
         urllib.request.urlopen(urllib.request.Request(url, headers={"Host": "example.org"}))
@@ -143,14 +143,14 @@ BAD = [
 ]
 
 
-def test_invalid_messages_are_refused_and_change_nothing(running: Running):
+def test_invalid_messages_are_rejected_and_change_nothing(running: Running):
     with open_socket(running.server) as line:
         running.until(lambda: running.server.tabs > 0)
         for text in BAD:
             line.send(text)
             error = read_error(line)
             assert len(error) < 400
-            assert "you watch" not in error
+            assert "you are watching" not in error
         assert np.isfinite(running.measure(0.2)[-1].position).all()
     assert running.drive.robot.env.world.divergences == 0
 
@@ -166,7 +166,7 @@ def test_flood_of_messages_ends_the_connection_and_not_the_robot(running: Runnin
 
 
 @pytest.mark.realtime
-def test_command_that_is_not_repeated_ends(alone: Running):
+def test_a_command_ends_unless_it_is_repeated(alone: Running):
     running = alone
     with open_socket(running.server) as line:
         running.until(lambda: running.server.tabs > 0)
@@ -200,12 +200,12 @@ def test_page_has_the_parameters_of_the_command_line(monkeypatch: pytest.MonkeyP
     assert (host, commands) == (None, "walk.csv")
 
 
-def test_policy_without_commands_refuses_a_source_of_them():
-    with pytest.raises(SurefootError, match="'trot' has no commands to follow"):
+def test_policy_without_commands_rejects_a_source_of_them():
+    with pytest.raises(SurefootError, match="'trot' follows no commands"):
         serve(DrivePage("trot", "mujoco"), None, 0, "5555")
 
 
-def test_address_for_other_machines_holds_a_token():
+def test_the_address_for_other_machines_contains_a_token():
     server = PageServer("127.0.0.1", 0, 1)
     try:
         assert len(server.address.split("/")[3]) > 20
@@ -216,9 +216,7 @@ def test_address_for_other_machines_holds_a_token():
         server.stop()
 
 
-def test_all_addresses_of_the_machine_are_printed_as_others_can_open_them(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-):
+def test_all_addresses_of_the_machine_are_printed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
     entries = [
         (socket.AF_INET, socket.SOCK_STREAM, 6, "", (name, 0)) for name in ("127.0.1.1", "192.0.2.7", "127.0.0.1")
     ]
@@ -239,7 +237,7 @@ def test_all_addresses_of_the_machine_are_printed_as_others_can_open_them(
         server.stop()
 
 
-def test_taken_port_is_one_line():
+def test_a_port_in_use_is_reported_in_one_line():
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -258,7 +256,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def shared(running: Running, browser: Browser) -> Iterator[Page]:
-    """Yield a tab that drives; its errors fail the tests."""
+    """Yield a controlling tab; its errors fail the tests."""
     page = new_page(browser, 600, 420)
     wrong = errors_of(page)
     page.goto(running.server.address)
@@ -271,7 +269,7 @@ def shared(running: Running, browser: Browser) -> Iterator[Page]:
 
 @pytest.fixture
 def page(running: Running, shared: Page) -> Page:
-    """Return the tab that drives, with a robot that has just been restarted."""
+    """Return the controlling tab, with a robot that has just been restarted."""
     robot = running.drive.robot
     before = robot.restarts
     shared.locator("#restart").click()
@@ -280,7 +278,7 @@ def page(running: Running, shared: Page) -> Page:
 
 
 def set_push(page: Page, share: float) -> None:
-    """Set the force of pushes, over the robot's weight."""
+    """Set the force of pushes, relative to the robot's weight."""
     page.locator("#share").fill(str(share))
     page.locator("#duration").select_option("0.1")
 
@@ -317,7 +315,7 @@ def test_gamepad_gives_commands_with_a_dead_zone(running: Running, page: Page):
 
 @in_browser
 @pytest.mark.realtime
-def test_joystick_goes_sideways_with_its_box_checked(running: Running, page: Page):
+def test_joystick_commands_sideways_motion_with_its_box_checked(running: Running, page: Page):
     page.locator("#strafe").check()
     hold_stick(page, 0.0, 0.5)
     running.until(lambda: running.last.command[1] == pytest.approx(0.5, abs=0.02) and running.last.velocity[1] > 0.2)
@@ -382,7 +380,7 @@ def test_button_pushes_to_the_chosen_side(running: Running, page: Page):
 
 @in_browser
 @pytest.mark.realtime
-def test_page_slows_and_pauses_time(running: Running, page: Page):
+def test_page_slows_and_pauses_the_simulation(running: Running, page: Page):
     page.locator("#speed").select_option("0.25")
     running.until(lambda: running.drive.speed == 0.25)
     begin, simulated = time.monotonic(), running.drive.robot.time
@@ -409,7 +407,7 @@ def test_second_tab_watches_until_the_first_is_closed(running: Running, page: Pa
     assert second.locator("#camera-side").is_enabled()
     with open_socket(running.server) as line:
         line.send('{"pause": true}')
-        assert "you watch" in read_error(line)
+        assert "you are watching" in read_error(line)
     assert not running.drive.paused
     page.goto("about:blank")
     second.wait_for_function(f"!{watches}")
@@ -426,7 +424,7 @@ def test_second_tab_watches_until_the_first_is_closed(running: Running, page: Pa
 
 
 @in_browser
-def test_typed_command_holds_until_a_hand_steers_and_a_ghost_has_it_too(running: Running, page: Page):
+def test_typed_command_holds_until_the_joystick_is_used_and_applies_to_the_ghost(running: Running, page: Page):
     page.locator("#c0").fill("0.4")
     page.keyboard.press("Enter")
     running.until(lambda: running.last.command[0] == 0.4)
@@ -435,7 +433,7 @@ def test_typed_command_holds_until_a_hand_steers_and_a_ghost_has_it_too(running:
     ghost = running.drive.ghost
     assert ghost is not None
     page.wait_for_function("document.getElementById('other0').textContent !== '–'")
-    # Begun together, with the same policy, they are one robot: command, push and slider act on both.
+    # Started together with the same policy, both robots move identically: command, push and slider act on both.
     page.evaluate("send({ push: [60, 90, .3], set: ['base_mass_ratio', 1.2] })")
     rows = running.measure(0.5)
     assert [row.command[0] for row in rows][-1] == 0.4
@@ -445,7 +443,7 @@ def test_typed_command_holds_until_a_hand_steers_and_a_ghost_has_it_too(running:
     assert len(others) > 20
     for row in others:
         assert row.position.tolist() == mine[round(row.time + running.drive._ghost_offset, 6)].tolist()
-    # The command is still there, and ends when a hand has steered.
+    # The command is still active, and ends when the joystick is used.
     page.locator("#ghost").select_option("")
     running.until(lambda: running.drive.ghost is None)
     assert running.drive.robot.commanded[0] == 0.4
@@ -472,7 +470,7 @@ def test_recording_is_downloaded_as_trace_and_as_page(running: Running, page: Pa
         page.locator("#make-html").click()
     assert "go2 in mujoco" in html_file.value.path().read_text("utf-8")
     assert {path.suffix for path in running.drive.recordings.folder.iterdir()} == {".npz", ".html"}
-    # It is of this origin, where its script could drive: no browser opens it there.
+    # The page has this origin, where its script could steer the robot, so a browser only downloads it.
     url = f"{running.server.address}files/{html_file.value.suggested_filename}"
     assert urllib.request.urlopen(url).headers["Content-Disposition"].startswith("attachment")
 
@@ -527,7 +525,7 @@ def test_page_changes_the_terrain_and_draws_it(running: Running, page: Page):
 
 
 @in_browser
-def test_closing_the_last_tab_stops_time(running: Running, page: Page):
+def test_closing_the_last_tab_pauses_the_simulation(running: Running, page: Page):
     page.goto("about:blank")
     running.until(lambda: running.server.tabs == 0)
     time.sleep(0.05)

@@ -30,7 +30,7 @@ def test_emulate_runs_for_a_duration_and_prints_a_summary(tmp_path):
     assert len(file.read_text().splitlines()) == 21
 
 
-def test_hidden_parameters_go_to_the_file_alone(robot, tmp_path):
+def test_hidden_parameters_are_written_only_to_the_file(robot, tmp_path):
     file = tmp_path / "hidden.toml"
     done = surefoot("emulate", "--hidden-seed", "5", "--out", file, "--duration", "0.01")
     assert done.returncode == 0
@@ -38,11 +38,11 @@ def test_hidden_parameters_go_to_the_file_alone(robot, tmp_path):
     assert file_params.tables["origin"] == {"hidden_seed": 5}
     assert 14.0 <= file_params.params.voltage[0] <= 16.8
     assert f"{file_params.params.voltage[0]:.2f}" not in done.stdout + done.stderr
-    # The file makes the same robot.
+    # The file reproduces the same robot.
     assert surefoot("emulate", "--params", file, "--set", "voltage=15.5", "--duration", "0.01").returncode == 0
 
 
-def test_parameters_come_from_a_file_and_from_words(robot, tmp_path):
+def test_parameters_are_set_by_a_file_and_by_options(robot, tmp_path):
     file = tmp_path / "p.toml"
     file.write_text("[params]\nmotor_strength = 0.9\nvoltage = 15\n")
     command = emulate.EmulateCommand(params=file, settings=(("voltage=14.5", "servo_kp=0.9"),))
@@ -51,7 +51,7 @@ def test_parameters_come_from_a_file_and_from_words(robot, tmp_path):
     np.testing.assert_array_equal(params.motor_strength, np.full((1, 8), 0.9))
 
 
-def test_what_the_viewer_draws_is_where_the_robot_is(robot):
+def test_the_viewer_draws_the_robot_at_its_position(robot):
     from surefoot.cli.helpers.viewer import pose_of
 
     drawn = pose_of(robot, [1.0, 2.0, 0.3, 1.0, 0.0, 0.0, 0.0, *robot.resting_angles])

@@ -1,4 +1,4 @@
-"""`surefoot evaluate` and `surefoot show POLICY`, in this process where the process is not what is tested."""
+"""`surefoot evaluate` and `surefoot show POLICY`."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy
-from processes import SUREFOOT, refused, run_surefoot, surefoot
+from processes import SUREFOOT, assert_rejected, run_surefoot, surefoot
+from shipped_variants import modified_policy
 
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")
@@ -39,20 +39,20 @@ LEGS = {"front_left", "back_left", "front_right", "back_right"}
 
 @pytest.fixture(scope="module")
 def policy(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A policy that was trained a little, of short episodes."""
+    """Policy from a very short training, with short episodes."""
 
     def change(contract: dict[str, Any]) -> None:
         contract["name"] = "beginner"
         contract["task"] |= {"max_steps": 240, "params": {}, "pushes": {"enabled": False}}
 
-    return edited_policy(tmp_path_factory.mktemp("policy") / "beginner.onnx", change, trained / "policy.onnx")
+    return modified_policy(tmp_path_factory.mktemp("policy") / "beginner.onnx", change, trained / "policy.onnx")
 
 
 def test_help_is_fast_and_names_the_commands():
     before = os.times()
     done = run_surefoot("--help")
     after = os.times()
-    # The processor time: a busy computer takes longer.
+    # Processor time, because a busy computer takes longer.
     assert after.children_user + after.children_system - before.children_user - before.children_system < 1.0
     assert done.returncode == 0
     for command in ("train", "evaluate", "show"):
@@ -104,7 +104,7 @@ def test_settings_and_pushes_change_the_result(policy: Path):
     assert len({result["distance_mean"] for result in (calm, weak, pushed, mildly)}) == 4
 
 
-def test_show_writes_a_video_of_a_policy_where_there_is_no_display(policy: Path, tmp_path: Path):
+def test_show_writes_a_video_of_a_policy_without_a_display(policy: Path, tmp_path: Path):
     ffmpeg = pytest.importorskip("imageio_ffmpeg")
     done = surefoot("show", policy, "--duration", "0.4", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -125,11 +125,11 @@ def test_a_missing_simulator_is_named_with_the_command_that_installs_it(policy: 
     script = f"{hide}\nfrom surefoot.cli.main import main\nsys.exit(main())"
     command = [sys.executable, "-c", script, "evaluate", str(policy)]
     without = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    refused(without, f"this needs mujoco, which is not installed: {install_command('sim')}")
+    assert_rejected(without, f"this needs mujoco, which is not installed: {install_command('sim')}")
 
 
 def test_an_interrupt_ends_with_130():
-    # A gait that keeps its balance runs to the end of its episodes: this takes far longer than anyone waits.
+    # A balanced gait runs to the end of its long episodes, which would take far longer than the timeout.
     command = [*SUREFOOT, "evaluate", "trot", "--episodes", "600"]
     terminal, other_end = pty.openpty()
     process = subprocess.Popen(
@@ -155,7 +155,7 @@ def test_an_interrupt_ends_with_130():
     assert b"Traceback" not in errors
 
 
-def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_released_policy_is_found_by_name(policy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     from surefoot.api import policies
 
     monkeypatch.chdir(tmp_path)
@@ -167,14 +167,14 @@ def test_a_policy_that_ships_is_found_by_name(policy: Path, tmp_path: Path, monk
 
 @pytest.fixture(scope="module")
 def recorded(policy: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
-    """A folder with the traces of three runs, and the output of `evaluate` when it ran them."""
+    """Folder with the traces of three runs, and the output of the `evaluate` command that ran them."""
     folder = tmp_path_factory.mktemp("recorded")
     done = surefoot("evaluate", policy, "--episodes", "3", "--out", folder, "--json")
     assert done.returncode == 0, done.stderr
     return folder, json.loads(done.stdout)
 
 
-def test_recorded_runs_have_the_same_figures(recorded: tuple[Path, dict[str, object]]):
+def test_recorded_runs_have_the_same_metrics(recorded: tuple[Path, dict[str, object]]):
     folder, ran = recorded
     done = surefoot("evaluate", "--trace", folder, "--json")
     assert done.returncode == 0, done.stderr
@@ -190,7 +190,9 @@ def test_recorded_runs_have_the_same_figures(recorded: tuple[Path, dict[str, obj
     assert re.search(r"falls +\d of 2", two.stdout)
 
 
-def test_a_robot_without_a_measured_position_has_a_power(recorded: tuple[Path, dict[str, object]], tmp_path: Path):
+def test_the_motion_of_a_robot_without_a_measured_position_is_estimated(
+    recorded: tuple[Path, dict[str, object]], tmp_path: Path
+):
     from surefoot.task.trace import EpisodeTrace
 
     trace = EpisodeTrace.load(sorted(recorded[0].glob("*.npz"))[0])
@@ -200,16 +202,19 @@ def test_a_robot_without_a_measured_position_has_a_power(recorded: tuple[Path, d
     done = surefoot("evaluate", "--trace", tmp_path / "runs", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     rows = dict(re.findall(r"^ ?(\S.*?)  +(\S.*?) *$", done.stdout, re.MULTILINE))
-    assert rows["speed"] == rows["return"] == rows["gait"] == "-"
+    assert rows["gait"] == "-"
+    travelled = trace.base_position_world[-1, 0] - trace.base_position_world[0, 0]
+    assert float(rows["distance"].split()[0]) == pytest.approx(travelled, rel=0.05, abs=0.05)
+    assert "are estimated from IMU and legs" in done.stdout
     assert rows["power"] == f"{trace.energy.sum() / trace.duration:.3f} W"
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["episode.png"]
 
 
-def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_policy_with_commands_is_measured_over_a_grid_of_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     from surefoot.evaluation import tracking
     from surefoot.task.trace import EpisodeTrace
 
-    monkeypatch.setattr(tracking, "GRID", 2)
+    monkeypatch.setattr(tracking, "GRID_SIZE", 2)
     from surefoot.api.episodes import captions
     from surefoot.api.policies import find_policy, load_gait, run_policy
     from surefoot.evaluation.conditions import Condition, with_duration
@@ -219,24 +224,24 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     done = surefoot(*words, "--json")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    # Two speeds with two yaw rates, and two with two sideways.
+    # Two forward velocities with two yaw rates, and two with two lateral velocities.
     assert result["episodes"] == 8
     assert str(tmp_path / "tracking.png") in result["files"]
     traces = [EpisodeTrace.load(path) for path in sorted(tmp_path.glob("*.npz"))]
     assert len({tuple(trace.command[-1]) for trace in traces}) == 8
     assert all(np.ptp(trace.command, axis=0).max() == 0 for trace in traces)
-    # It follows: errors are small beside the commands of 1 m/s and 1 rad/s.
+    # The policy follows: errors are small compared with commands of 1 m/s and 1 rad/s.
     assert set(result["rmse"]) == set(result["rmse_stride"]) == {"forward", "sideways", "yaw_rate"}
     assert max(result["rmse_stride"].values()) < 0.3
     read = surefoot("evaluate", "--trace", *sorted(tmp_path.glob("*.npz")))
-    row = re.search(r"RMSE over strides: forward, sideways, yaw rate +(.*?) *$", read.stdout, re.MULTILINE)
+    row = re.search(r"stride-averaged RMSE: forward, sideways, yaw rate +(.*?) *$", read.stdout, re.MULTILINE)
     errors = ", ".join(
         f"{value:.3f} {unit}"
         for value, unit in zip(result["rmse_stride"].values(), ("m/s", "m/s", "rad/s"), strict=True)
     )
     assert row is not None
     assert row[1] == errors
-    # A task's episode takes 9.6 s; the file two seconds longer than its last row, if that is more.
+    # An episode of the task takes 9.6 s; a file extends it to two seconds after its last row.
     policy, robot, task, _ = load_gait(find_policy("go2-steer"), None)
     for end, duration in ((7.0, 9.6), (9.0, 11.008)):
         (tmp_path / "way.csv").write_text(f"time,forward,sideways,yaw_rate\n0,0.5,0,0\n{end},0,0,0\n")
@@ -250,20 +255,20 @@ def test_a_policy_with_commands_is_measured_over_a_grid_of_them(tmp_path: Path, 
     assert (tmp_path / "episode.png").stat().st_size > 10_000
 
 
-def test_a_policy_is_measured_under_one_command_throughout_on_a_fitted_robot():
+def test_a_policy_is_measured_with_a_constant_command_on_an_identified_robot():
     words = ("evaluate", "go2-steer", "--command", 0.4, 0.2, 0.0, "--episodes", 1, "--duration", 2.5, "--threads", 1)
     done = surefoot(*words, "--params", "fitted", "--json")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
     assert result["command"] == [0.4, 0.2, 0.0]
     assert result["params"]["torque_lag"] == 0.0151
-    # Energy over weight and way, which goes along the command, not along the world's x axis.
+    # Energy per weight and distance along the command, not along the world's x axis.
     way = result["power_mean"] * 2.496 / (16.085004 * 9.81 * result["cost_of_transport_mean"])
     assert way == pytest.approx(np.hypot(0.4, 0.2) * 2.0, rel=0.35)
     assert way > result["distance_mean"]
 
 
-def test_a_robot_is_put_on_terrain_and_what_keeps_up_is_counted():
+def test_the_success_rate_on_terrain_is_measured():
     words = (
         "evaluate",
         "go2-steer",
@@ -281,5 +286,5 @@ def test_a_robot_is_put_on_terrain_and_what_keeps_up_is_counted():
     )
     summary = json.loads(surefoot(*words, "--terrain", "slope_down:10").stdout)
     assert (summary["terrain"], summary["success"], summary["falls"]) == ("slope_down:10", 1.0, 0)
-    # Feet that are lifted by some centimetres do not get over steps of .2 m.
+    # Feet that are lifted by a few centimetres do not clear steps of 0.2 m.
     assert json.loads(surefoot(*words, "--terrain", "stairs:0.2").stdout)["success"] == 0.0

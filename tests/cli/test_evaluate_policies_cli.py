@@ -1,4 +1,4 @@
-"""`surefoot evaluate POLICY POLICY ...`: policies side by side."""
+"""`surefoot evaluate POLICY POLICY ...`: comparison of policies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from surefoot.evaluation.policy_table import COLUMNS
 SHORT = ("--episodes", 2, "--duration", 1.2, "--threads", 1)
 
 
-def test_several_policies_have_a_row_under_each_condition(tmp_path: Path):
+def test_each_policy_has_a_row_for_each_condition(tmp_path: Path):
     policies, conditions = ("go2-steer", "go2-terrain"), ("nominal", "latency")
     words = ("evaluate", *policies, *SHORT, "--conditions", *conditions)
     done = surefoot(*words, "--json", "--out", tmp_path)
@@ -26,7 +26,7 @@ def test_several_policies_have_a_row_under_each_condition(tmp_path: Path):
     rows = result["policies"]
     assert [(row["policy"], row["condition"]) for row in rows] == [(a, b) for a in policies for b in conditions]
     assert {*COLUMNS, "episodes", "success", "hottest_motor", "world"} < set(rows[0])
-    # The same commands on the same robots: only the readings' age differs.
+    # The same commands on the same robots: only the latency differs.
     assert rows[0]["rmse_forward"] != rows[1]["rmse_forward"]
     assert [Path(file).name for file in result["files"]] == ["policies.csv", "policies.html"]
     with (tmp_path / "policies.csv").open() as file:
@@ -37,7 +37,7 @@ def test_several_policies_have_a_row_under_each_condition(tmp_path: Path):
     assert text.count("0 of 2") == 4
 
 
-def test_one_policy_is_measured_under_conditions_that_are_named():
+def test_a_single_policy_is_measured_under_selected_conditions():
     done = surefoot("evaluate", "go2-steer", "--conditions", "feet", *SHORT, "--json")
     assert done.returncode == 0, done.stderr
     (row,) = json.loads(done.stdout)["policies"]

@@ -1,4 +1,4 @@
-"""`surefoot evaluate sensitivity` with the policies that ship."""
+"""`surefoot evaluate sensitivity` with released policies."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_json_is_one_object_with_the_ranges_of_a_file(tmp_path: Path):
     assert policy["return_mean"] == pytest.approx(sum(means) / 6, abs=1e-6)
 
 
-def test_the_force_of_pushes_is_a_row(tmp_path: Path):
+def test_the_force_of_pushes_is_a_parameter(tmp_path: Path):
     (tmp_path / "r.yaml").write_text("base_mass_ratio: [0.9, 1.0]\n")
     words = ("trot", "--ranges", "r.yaml", "--push-force", "0", "400", "--values", "2", "--episodes", "2", "--json")
     done = surefoot("evaluate", "sensitivity", *words, "--duration", "2", cwd=tmp_path)
@@ -74,12 +74,12 @@ def test_the_force_of_pushes_is_a_row(tmp_path: Path):
     with (tmp_path / "sensitivity/sensitivity.csv").open() as file:
         worlds = {(world["row"], float(world["value"])): world for world in csv.DictReader(file)}
     assert {world["unit"] for (row, _), world in worlds.items() if row == "push_force"} == {"N"}
-    # Without force, and with nominal mass, it is the nominal world; only the row's own worlds are pushed.
+    # A force of zero and the nominal mass equal the nominal world; only the test worlds of the force are pushed.
     assert worlds["push_force", 0.0]["return_mean"] == worlds["base_mass_ratio", 1.0]["return_mean"]
     assert [int(world["falls"]) for world in worlds.values()] == [0, 0, 0, 2]
 
 
-def test_policies_of_one_name_get_distinct_names(tmp_path: Path):
+def test_policies_with_the_same_name_get_distinct_names(tmp_path: Path):
     for folder, name in (("a", "mine"), ("b", "mine"), ("b", "other")):
         (tmp_path / folder).mkdir(exist_ok=True)
         shutil.copy(find_policy("trot"), tmp_path / folder / f"{name}.onnx")
@@ -99,7 +99,7 @@ def test_policies_of_one_name_get_distinct_names(tmp_path: Path):
     assert done.returncode == 0, done.stderr
     policies = json.loads(done.stdout)["policies"]
     assert [policy["policy"] for policy in policies] == ["mine-1", "mine-2", "other"]
-    # The same policy in the same worlds, whatever it is called.
+    # The results are the same, whatever the name.
     assert len({policy["return_mean"] for policy in policies}) == 1
 
 

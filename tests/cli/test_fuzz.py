@@ -1,4 +1,4 @@
-"""A few cases of `benchmarks/fuzz.py`, in a process of their own since each is forked from one without threads."""
+"""A few cases of `benchmarks/fuzz.py`, in a separate process without threads, from which each case is forked."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ for module in ("mujoco", "torch", "onnx", "matplotlib", "imageio_ffmpeg"):
 QUICK = ("study", "study options", "space", "params", "policy to deploy", "recording", "deploy options",
          "doctor options", "identify options", "mjcf", "collada", "foreign urdf", "messages to drive",
          "messages to train")  # fmt: skip
-"""Kinds of cases that take little time."""
+"""Kinds of cases that run quickly."""
 
 
 @pytest.mark.slow
-def test_nothing_ends_with_a_traceback_or_not_at_all(repository: Path):
+def test_no_case_ends_with_a_traceback_or_hangs(repository: Path):
     kinds = [word for kind in QUICK for word in ("--kind", kind)]
     words = [sys.executable, "benchmarks/fuzz.py", "--cases", "20", "--seed", "0", *kinds]
     done = subprocess.run(words, cwd=repository, capture_output=True, text=True, timeout=280, check=False)

@@ -1,17 +1,18 @@
-"""`surefoot gap` as a user runs it, with a policy of short episodes."""
+"""`surefoot gap` as a user runs it, with policies with short episodes."""
 
 from __future__ import annotations
 
 import csv
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy
-from processes import refused, surefoot
+from processes import assert_rejected, surefoot
+from shipped_variants import modified_policy
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
@@ -29,22 +30,22 @@ RUNS = ["run_000.npz", "run_001.npz", "run_002.npz"]
 
 @pytest.fixture(scope="module")
 def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with trot.onnx and gallop.onnx, whose episodes last 60 control steps; the trot has constraint motors."""
+    """Folder with trot.onnx and gallop.onnx with episodes of 60 control steps; the trot has constraint motors."""
     folder = tmp_path_factory.mktemp("policies")
-    edited_policy(folder / "gallop.onnx", lambda contract: contract["task"].update(max_steps=60))
+    modified_policy(folder / "gallop.onnx", lambda contract: contract["task"].update(max_steps=60))
     latencies = {"control_latency": 0.0, "servo_latency": 0.0}
 
     def make_ideal(contract: dict[str, Any]) -> None:
         contract["task"].update(max_steps=60, actuator="constraint")
         contract.update(latencies)
 
-    edited_policy(folder / "trot.onnx", make_ideal, "trot")
+    modified_policy(folder / "trot.onnx", make_ideal, "trot")
     return folder
 
 
 @pytest.fixture
 def here(tmp_path: Path, policies: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with the policies in it."""
+    """Working folder that contains the policies."""
     for file in policies.iterdir():
         shutil.copy(file, tmp_path)
     monkeypatch.chdir(tmp_path)
@@ -92,7 +93,7 @@ def test_tables_figure_and_traces(here: Path):
         assert float(away["gap"]) == pytest.approx(float(home["return_mean"]) - float(away["return_mean"]), abs=2e-6)
 
 
-def test_home_is_the_simulator_of_the_policy_and_away_the_robot_of_the_data_sheet(here: Path):
+def test_home_is_the_training_simulator_and_targets_have_the_data_sheets_robot(here: Path):
     words = ["trot.onnx", "--to", "mujoco", "--episodes", "2", "--set", "voltage=15"]
     output = result([*words, "--from-set", "base_mass_ratio=1.1", "--to-set", "base_mass_ratio=0.9", "voltage=14"])
     (policy,) = output["policies"]
@@ -112,14 +113,31 @@ def test_home_is_the_simulator_of_the_policy_and_away_the_robot_of_the_data_shee
     assert home.meta["world"] == away.meta["world"] == "mujoco"
 
 
+def test_a_robot_without_motion_capture_has_an_estimated_return(here: Path):
+    result(["trot.onnx", "--to", "mujoco", "--episodes", "2"])
+    for file in sorted(Path("gap/trot/mujoco-away").glob("*.npz")):
+        trace = EpisodeTrace.load(file)
+        unknown = {
+            name: np.full_like(getattr(trace, name), np.nan) for name in ("base_position_world", "base_quat_world")
+        }
+        replace(trace, **unknown, meta={**trace.meta, "world": "robot"}).save(Path("robot") / file.name)
+    sides = ["--from", "trace", "gap/trot/mujoco-away", "--to", "trace", "robot", "--out", "compared"]
+    output = result(["trot.onnx", *sides])
+    assert output["estimated"] == ["robot/run_000.npz", "robot/run_001.npz"]
+    measured, estimated = output["policies"][0]["worlds"]
+    # These runs last a third of a second, in which the trot begins.
+    assert estimated["return_mean"] == pytest.approx(measured["return_mean"], abs=0.03)
+    assert abs(estimated["distance_mean"]) > 0.01
+
+
 def test_the_same_worlds_have_no_gap(here: Path):
     home, away = result(["gallop.onnx", "--to", "mujoco"])["policies"][0]["worlds"]
-    # Runs start alike on both sides, and the gallop was trained in the world of the data sheet.
+    # Runs start in the same states, and the gallop was trained with the data sheet's robot.
     assert away["gap"] == 0
     assert home["return_mean"] == away["return_mean"]
     other = result(["gallop.onnx", "--to", "mujoco", "--seed", "2"])
     assert other["policies"][0]["worlds"][0]["return_mean"] != home["return_mean"]
-    # A weaker motor and the ideal one are not the same robot.
+    # A robot with weaker motors differs from one with constraint motors.
     ideal = result(["gallop.onnx", "--to", "mujoco", "--to-actuator", "constraint"])
     assert ideal["policies"][0]["away"]["actuator"] == "constraint"
     assert ideal["policies"][0]["worlds"][1]["gap"] != 0
@@ -132,14 +150,16 @@ def test_runs_have_the_same_duration_in_every_world(here: Path):
     assert steps == [60, 30]
     result([*words, "--duration", "0.12"])
     assert [int(run["steps"]) for run in read(Path("gap/episodes.csv"))] == [20, 10]
-    message = "its run was to last 0.12 s, the others last 0.36 s; give --duration 0.12 to compare"
-    refused(surefoot("gap", "gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "other", *ONE), message)
+    message = "its run was planned for 0.12 s, the others for 0.36 s; give --duration 0.12 to compare"
+    assert_rejected(
+        surefoot("gap", "gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "other", *ONE), message
+    )
     assert not Path("other").exists()
     output = result(["gallop.onnx", "--to", "trace", "gap/gallop/mujoco", "--out", "other", "--duration", "0.12"])
     assert output["policies"][0]["worlds"][1]["runs"] == 1
 
 
-def test_recorded_runs_have_the_results_of_simulated_ones(here: Path):
+def test_recorded_runs_have_the_same_results_as_simulated_runs(here: Path):
     words = ["trot.onnx", "gallop.onnx", "--episodes", "2"]
     simulated = result([*words, "--to", "mujoco", "--to-set", "voltage=13"])
     shutil.copytree("gap/trot/mujoco-away", "robot/monday/trot")

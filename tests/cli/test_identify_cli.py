@@ -1,4 +1,4 @@
-"""`surefoot identify` as a user gives it, on emulated robots."""
+"""`surefoot identify` as a user runs it, on emulated robots."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from processes import SUREFOOT, EmulatorHere, emulators, printed_commands, refused, surefoot
+from processes import SUREFOOT, EmulatorHere, assert_rejected, emulators, printed_commands, surefoot
 
 from surefoot.api.extras import install_command
-from surefoot.cli.helpers.identify_run import refuse_another_robot
+from surefoot.cli.helpers.identify_run import check_robot
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
 from surefoot.identify.registry import EXPERIMENTS
@@ -37,23 +37,23 @@ def test_motor_figure_without_a_log(tmp_path: Path) -> None:
     done = identify("motor-figure", "--out", out, "--duration", 0.1)
     assert done.returncode == 0
     assert "servo and DC motor: " in done.stdout
-    assert "rad RMS from target" in done.stdout
+    assert "rad RMS relative to target" in done.stdout
     assert out.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_recording_of_one_world_against_the_models_in_another(tmp_path: Path) -> None:
+def test_a_recording_from_one_world_is_compared_with_both_motor_models_in_another(tmp_path: Path) -> None:
     pytest.importorskip("pybullet")
     log, out = tmp_path / "motor.csv", tmp_path / "motor.png"
     words = ["motor-figure", "--json", "--out", out]
     assert identify(*words, log, "--world", "bullet", "--duration", 0.5).returncode == 0
     output = json.loads(identify(*words, "--log", log).stdout)
     assert output["against"] == str(log)
-    # The same laws in another engine come out the same; another law does not.
+    # The same motor model agrees in another engine; the other model does not.
     assert output["rms_error"]["dc"] < 0.002
     assert output["rms_error"]["constraint"] > 5 * output["rms_error"]["dc"]
 
 
-def test_identify_without_words_lists_the_experiments():
+def test_identify_without_arguments_lists_the_experiments():
     done = identify()
     assert done.returncode == 2
     assert identify("--help").stdout == done.stderr
@@ -66,7 +66,7 @@ def test_identify_without_words_lists_the_experiments():
 
 @pytest.fixture(scope="module")
 def hanging() -> Iterator[EmulatorHere]:
-    """A robot on its rack that several tests use."""
+    """Robot on its rack, shared by several tests."""
     pytest.importorskip("mujoco")
     with emulators(EmulatorHere) as start:
         yield start("--lockstep", "--rack")
@@ -100,17 +100,17 @@ sys.exit(main(sys.argv[1:]))
 
 
 def run_bare(*words: object) -> subprocess.CompletedProcess[str]:
-    """Run `surefoot identify` with the bare install only; contact is shorter and without phases that no fit uses."""
+    """Run `surefoot identify` with only the bare install; contact is shortened and without phases that no fit uses."""
     command = [sys.executable, "-c", ON_THE_ROBOTS_COMPUTER, "identify", *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=200)
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
-    """Folder of an experiment that was recorded on the robot's computer, and the finished process."""
+    """Folder of an experiment recorded on the robot's computer, and the finished process."""
     pytest.importorskip("mujoco")
     folder = tmp_path_factory.mktemp("contact")
-    # A robot in a folder of its own, which goes afterwards: the recording carries it.
+    # The robot's folder is removed afterwards, since the recording contains the robot's description.
     robot = shutil.copytree(RobotDescription.load("minitaur").folder, folder / "my robots" / "mine")
     with emulators(EmulatorHere) as start:
         port = start("--lockstep", "--set", "contact_friction=0.7", "--robot", robot).port
@@ -127,11 +127,11 @@ def test_record_only_needs_the_bare_install(recorded: Recorded):
     assert done.stdout.startswith("contact experiment with minitaur on flat ground, ")
     phases = [phase.name for phase in EXPERIMENTS["contact"].plan(RobotDescription.load("minitaur")).phases]
     phases = [name for name in phases if name not in ("drop", "rock")]
-    for output in (phases[0], "drag x 2", "ends with damped motors when a motor leaves", "N m for 0.4 s"):
+    for output in (phases[0], "drag x 2", "motors are damped if an angle leaves", "N m for 0.4 s"):
         assert output in done.stdout
     assert f"contact experiment recorded: {folder / 'recording.npz'}" in done.stdout
     assert printed_commands(done.stdout)["fit it"][1:] == ["identify", "contact", "--recording", str(folder)]
-    # A line a phase, where there is no terminal; nothing but plain text.
+    # Without a terminal, one line of plain text per phase.
     lines = [line for line in done.stderr.splitlines() if line.startswith("surefoot: ")]
     assert [line.partition(", ")[0] for line in lines] == [f"surefoot: {name}" for name in phases]
     assert lines[0].startswith(f"surefoot: {phases[0]}, 1 of {len(phases)}, ")
@@ -143,7 +143,7 @@ def test_identify_never_overwrites_a_recording(recorded: Recorded):
     path = recorded[0] / "recording.npz"
     before = path.read_bytes()
     done = identify("contact", "--port", "/dev/none", "--yes", "--record-only", "--out", path.parent)
-    refused(done, f"{path} exists and is not written over; give another folder with --out")
+    assert_rejected(done, f"{path} exists and is not overwritten; give another folder with --out")
     assert path.read_bytes() == before
 
 
@@ -154,7 +154,7 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
     params.write_text('[params]\nvoltage = 15.5\nmotor_strength = 0.98\n[note]\nby = "hand"\n')
     done = identify("contact", "--recording", folder, "--params", params, "--out", out)
     assert done.returncode == 0, done.stderr
-    assert "surefoot: warning: contact should come after motor and mass, and " in done.stderr
+    assert "surefoot: warning: contact should be run after motor and mass, but " in done.stderr
     assert " contact_friction " in done.stdout
     assert f"wrote {params}, {out / 'report.png'}, {out / 'report.html'}" in done.stdout
     overlay = read_params(params, robot)
@@ -168,7 +168,7 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
     assert overlay.tables["identified_by"]["contact_friction"] == "contact"
     assert (out / "report.png").read_bytes().startswith(b"\x89PNG")
     assert output["data"] in (out / "report.html").read_text()
-    # Once more, with what is known now, as one object; without --params beside the report.
+    # Again with the results so far, with --json, and without --params: the file is next to the report.
     again = tmp_path / "again"
     done = identify("contact", "--recording", folder / "recording.npz", "--json", "--out", again)
     assert done.returncode == 0, done.stderr
@@ -182,10 +182,10 @@ def test_a_recording_is_fitted(recorded: Recorded, robot: RobotDescription, tmp_
     assert "contact_friction" in tomllib.loads((again / "robot.toml").read_text())["params"]
 
 
-def test_identify_refuses_before_motion_without_fit_libraries(tmp_path: Path):
+def test_identify_rejects_before_motion_without_fit_libraries(tmp_path: Path):
     done = run_bare("latency", "--port", "/dev/none", "--lockstep", "--yes", "--out", tmp_path / "out")
     assert done.returncode == 2
-    message = f"the fit needs mujoco, which is not installed: {install_command('sim')}; surefoot identify latency"
+    message = f"the fit requires mujoco, which is not installed: {install_command('sim')}; surefoot identify latency"
     assert message in done.stderr
     assert "--record-only records without it" in done.stderr
     assert not (tmp_path / "out").exists()
@@ -211,27 +211,27 @@ def test_ctrl_c_ends_an_experiment_and_keeps_the_recording(hanging: EmulatorHere
     assert f": {ended}; recorded until then: {out / 'recording.npz'}" in errors
     assert "to fit it" not in message
     assert [path.name for path in out.iterdir()] == ["recording.npz"]
-    # What was stopped is not fitted later either.
-    refused(identify("motor", "--recording", out), "did not come to its end: stopped by the operator")
+    # A stopped recording can't be fitted later.
+    assert_rejected(identify("motor", "--recording", out), "stopped early: stopped by the operator")
 
 
-def test_an_experiment_refuses_another_robot_than_the_data_sheets(robot: RobotDescription):
+def test_an_experiment_rejects_a_robot_that_differs_from_its_data_sheet(robot: RobotDescription):
     message = make_handshake(robot, Limits.from_robot(robot), "", robot.timing.servo_step)
-    refuse_another_robot(message, robot)
+    check_robot(message, robot)
     signs = np.array(message.motor_signs, float)
     signs[3] *= -1
     for other, why in (
-        (replace(message, robot="cat"), "robot: it is 'cat', the data sheet is of 'minitaur'"),
+        (replace(message, robot="cat"), "robot: it is 'cat'; the data sheet is for 'minitaur'"),
         (replace(message, motor_names=message.motor_names[::-1]), "motors: motor 0 is '"),
         (replace(message, servo_period=0.002), "servo period: 2 ms; the data sheet says 1 ms"),
         (replace(message, motor_signs=signs), f"motor signs: {robot.motor_names[3]} has "),
     ):
-        with pytest.raises(SurefootError, match=re.escape(f"the robot is not as on its data sheet: {why}")):
-            refuse_another_robot(other, robot)
+        with pytest.raises(SurefootError, match=re.escape(f"the robot does not match its data sheet: {why}")):
+            check_robot(other, robot)
 
 
 class Terminal(io.StringIO):
-    """Somebody who answers at a terminal."""
+    """Operator who answers on a terminal."""
 
     def isatty(self) -> bool:
         return True
@@ -250,10 +250,10 @@ def test_experiment_asks_at_a_terminal(
     done = identify("latency", "--port", hanging.port, "--lockstep", "--record-only", "--out", "out", "--json")
     message, errors = done.stdout, done.stderr
     assert done.returncode == code, errors
-    # The plan comes first, then the question; stdout is the object's alone.
-    question = errors.index("Motors will move. Does the robot hang free, its legs in the air? [y/N] ")
+    # The plan is printed before the question; stdout contains only the JSON object.
+    question = errors.index("Motors will move. Does the robot hang freely, with its legs in the air? [y/N] ")
     assert 0 < errors.index("motor angles from ") < question
-    assert ("not begun; nothing has moved" in errors) == (code == 2)
+    assert ("not confirmed; nothing has moved" in errors) == (code == 2)
     assert Path("out/recording.npz").exists() == (code == 0)
     if code == 0:
         output = json.loads(message)
@@ -268,8 +268,12 @@ def test_identify_warns_of_missing_experiments(tmp_path: Path, monkeypatch: pyte
     monkeypatch.chdir(tmp_path)
     Path("known.toml").write_text("[params]\n[identified.motor]\ndate = 2026-01-01\n")
     for name, params, output in (
-        ("contact", (), "contact should come after motor and mass, and no --params FILE is given"),
-        ("contact", ("--params", "known.toml"), "contact should come after mass, and known.toml has no results of it"),
+        ("contact", (), "contact should be run after motor and mass, but --params FILE is not given"),
+        (
+            "contact",
+            ("--params", "known.toml"),
+            "contact should be run after mass, but known.toml has no results of it",
+        ),
         ("latency", ("--params", "new.toml"), ""),
     ):
         done = identify(name, "--port", "/dev/none", "--yes", *params)
@@ -297,7 +301,7 @@ def test_identify_from_traces(tmp_path: Path):
     assert np.mean(overlay["params"]["motor_strength"]) == pytest.approx(0.9, abs=0.03)
     assert overlay["identified"]["traces"]["file"] == str(traces)
     done = identify("--trace", traces, "--fit", "contact_friction")
-    refused(done, "traces can't identify 'contact_friction'; choices: motor_strength")
+    assert_rejected(done, "traces can't identify 'contact_friction'; choices: motor_strength")
 
 
 def test_identify_from_logs_with_one_held_out(tmp_path: Path):
@@ -311,7 +315,7 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
     logs.mkdir()
     truth = PhysicalParams.nominal(pupper).with_values(pupper, control_latency=0.030)
     replayer, time = Replayer(pupper, 1, torques=False), 0.01 * np.arange(71)
-    # Nobody says when readings were taken; they are taken to be half a row old.
+    # Times of readings are unknown; they are assumed to be half a row old.
     read = np.concatenate([[0.0], time[1:] - 0.005])
     for name, rate in (("slow", 9.0), ("fast", 13.0)):
         command = np.tile(np.tile([0.0, 0.6, -1.2], 4), (len(time), 1))
@@ -319,8 +323,10 @@ def test_identify_from_logs_with_one_held_out(tmp_path: Path):
         blank = RecordedMotion(name, time, command, read)
         output = replayer.run(segment_from_motion(blank, pupper), truth)
         np.savez(logs / f"{name}.npz", time=time, command=command, motor_angle=output.motor_angle[0])
-    refused(identify(*words, "--hold-out", "quick"), "--hold-out names 'quick', which is no log; choices: fast, slow")
-    refused(identify("--trace", logs, "--rack", "slow"), "--rack is of logs of a robot with joint actuators")
+    assert_rejected(
+        identify(*words, "--hold-out", "quick"), "--hold-out names 'quick', which is not a log; choices: fast, slow"
+    )
+    assert_rejected(identify("--trace", logs, "--rack", "slow"), "--rack is for logs of a robot with joint actuators")
     how = ("--rack", "fast", "slow", "--hold-out", "fast", "--fit", "control_latency", "--out", out)
     done = identify(*words, *how, "--json")
     assert done.returncode == 0, done.stderr

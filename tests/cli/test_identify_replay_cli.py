@@ -27,7 +27,7 @@ def test_replay_with_identified_parameters_has_small_errors(capsys: pytest.Captu
     assert json.loads(capsys.readouterr().out)["rms"] > output["rms"]
 
 
-def test_an_imported_log_replays_as_the_log_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_an_imported_log_replays_like_the_original_log(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     pytest.importorskip("matplotlib")
     log, trace, figure = DATA / "one_hip_200hz.npz", tmp_path / "trace.npz", tmp_path / "figure.png"
     assert main(["identify", "import", str(log), "--robot", "pupper_v2", "--out", str(trace)]) == 0
@@ -55,7 +55,7 @@ def test_import_prints_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     assert EpisodeTrace.load(output["trace"]).num_steps == 4
 
 
-def test_gains_are_kept_in_a_trace_and_said_by_a_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_gains_are_stored_in_a_trace_and_reported_by_a_replay(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     log, trace = str(DATA / "one_hip_200hz.npz"), str(tmp_path / "trace.npz")
     words = ["identify", "import", log, "--robot", "pupper_v2", "--out", trace]
     assert main([*words, "--set", "servo_kp=9", "servo_kd=0.8"]) == 0
@@ -74,7 +74,7 @@ def test_gains_are_kept_in_a_trace_and_said_by_a_replay(tmp_path: Path, capsys: 
     output = json.loads(capsys.readouterr().out)
     assert (output["gains"]["servo_kp"], output["gains_from"]) == ([6.0] * 12, str(file))
     assert main([*words, "--set", "motor_friction=1"]) == 2
-    assert "--set names motor_friction, and a log has gains: servo_kp, servo_kd" in capsys.readouterr().err
+    assert "--set names motor_friction; a log has only the gains servo_kp, servo_kd" in capsys.readouterr().err
 
 
 def test_help_of_trace_needs_no_value(capsys: pytest.CaptureFixture[str]):
@@ -84,7 +84,7 @@ def test_help_of_trace_needs_no_value(capsys: pytest.CaptureFixture[str]):
     assert "--hold-out" in capsys.readouterr().out
 
 
-def test_a_plan_in_the_air_is_shown_with_what_it_would_tell(capsys: pytest.CaptureFixture[str]):
+def test_the_plan_of_air_is_shown_with_its_expected_accuracy(capsys: pytest.CaptureFixture[str]):
     words = ["identify", "air", "--plan", "--robot", "go2", "--set", "servo_kp=20", "servo_kd=1.5"]
     assert main([*words, "--json"]) == 0
     output = json.loads(capsys.readouterr().out)

@@ -1,14 +1,14 @@
-"""The commands: their groups, former names, and actions of commands."""
+"""Commands: their groups, former names, and subcommands."""
 
 from __future__ import annotations
 
 import importlib
 
 import pytest
-from processes import refused, surefoot
+from processes import assert_rejected, surefoot
 
 from surefoot.cli import identify, robot, robot_firmware, study
-from surefoot.cli.main import COMMANDS, FORMER, GROUPS
+from surefoot.cli.main import COMMANDS, GROUPS, RENAMED_COMMANDS
 
 ACTIONS = {
     "evaluate": {"sensitivity"},
@@ -19,12 +19,12 @@ ACTIONS = {
 }
 
 
-@pytest.mark.parametrize("name", FORMER)
-def test_a_former_command_answers_with_the_present_one(name: str):
+@pytest.mark.parametrize("name", RENAMED_COMMANDS)
+def test_a_renamed_command_names_its_replacement(name: str):
     done = surefoot(name, "x", "--help")
-    refused(done, f"'{name}' is no command any more; type surefoot ")
+    assert_rejected(done, f"'{name}' is not a command any more; use surefoot ")
     assert name not in COMMANDS
-    for text in FORMER[name].split("surefoot ")[1:]:
+    for text in RENAMED_COMMANDS[name].split("surefoot ")[1:]:
         command, *rest = text.split()
         assert command in COMMANDS
         assert not rest or rest[0].isupper() or rest[0] in ACTIONS[command]
@@ -33,7 +33,7 @@ def test_a_former_command_answers_with_the_present_one(name: str):
 def test_the_usage_lists_every_command_in_its_group():
     usage = surefoot("--help").stdout
     assert surefoot().stderr == usage
-    assert usage.index("\nmake a gait:\n  train ") < usage.index("\nlook at it:\n") < usage.index("\nscience:\n")
+    assert usage.index("\npolicies:\n  train ") < usage.index("\nwatching:\n") < usage.index("\nresearch:\n")
     for title, group in GROUPS.items():
         section = usage.split(f"{title}:\n")[1].split("\n\n")[0].splitlines()
         assert [line.split()[0] for line in section] == list(group)
@@ -46,7 +46,7 @@ def test_every_command_has_a_module(name: str):
 
 
 @pytest.mark.parametrize("command", ["robot", "robot firmware", "study"])
-def test_a_command_of_actions_lists_them(command: str):
+def test_a_command_with_subcommands_lists_them(command: str):
     done, silent = surefoot(*command.split(), "--help"), surefoot(*command.split())
     assert (done.returncode, silent.returncode) == (0, 2)
     assert done.stdout == silent.stderr

@@ -1,4 +1,4 @@
-"""Two hundred messages drawn from a grammar of the pages' keys, to each page that takes messages: it goes on."""
+"""Pages survive two hundred random messages generated from a grammar of their keys."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ SEED = 66
 
 @dataclass
 class Running:
-    """A page whose handlers run in a thread."""
+    """Page whose handlers run in a thread."""
 
     kind: type[TabMessage]
     server: PageServer
     thread: threading.Thread
     command: Callable[[], Any]
-    """Returns the command that the page has."""
+    """Function that returns the present command of the page."""
 
 
 @contextmanager
@@ -84,7 +84,7 @@ def page(request: pytest.FixtureRequest, repository: Path, tmp_path: Path) -> It
 
 
 def refusal(kind: type[TabMessage], text: str | bytes) -> str:
-    """Return why the schema refuses a message; empty if it does not."""
+    """Return why the schema rejects a message, or an empty text."""
     try:
         read_message(kind, text)
     except SurefootError as error:
@@ -93,7 +93,7 @@ def refusal(kind: type[TabMessage], text: str | bytes) -> str:
 
 
 def read_error(tab: ClientConnection, start: str) -> None:
-    """Read up to the answer of a refused message that starts so."""
+    """Read messages up to the answer to a rejected message that starts with a given text."""
     while not (error := json.loads(tab.recv(timeout=20)).get("error", "")).startswith(start):
         pass
     assert len(error) <= 300
@@ -114,7 +114,7 @@ def test_no_message_ends_a_page(page: Running):
         elif why := refusal(page.kind, text):
             refused += 1
             read_error(tab, why[:100])
-        # The next good message acts.
+        # The next valid message takes effect.
         speed = 0.1 + 0.4 * number / MESSAGES
         tab.send(json.dumps({"command": [speed, 0, 0]}))
         end = time.monotonic() + 20.0

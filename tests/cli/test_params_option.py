@@ -1,4 +1,4 @@
-"""`--params FILE`, `--actuator` and latencies: another simulator in training, evaluation, the gap and sensitivity."""
+"""`--params FILE`, `--actuator` and latencies: changed simulators in training, evaluation, gap and sensitivity."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from edited import maxitaur
 from processes import surefoot
+from shipped_variants import maxitaur
 
 pytest.importorskip("mujoco")
 pytest.importorskip("matplotlib")
@@ -45,7 +45,7 @@ SHORT = ("--episodes", "2", *ONE)
 
 @pytest.fixture(autouse=True)
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A working folder with robot.toml in it."""
+    """Working folder that contains robot.toml."""
     monkeypatch.chdir(tmp_path)
     Path("robot.toml").write_text(TEXT)
     return tmp_path
@@ -91,12 +91,12 @@ def test_file_replaces_parameters_and_options_override_it(
     assert simulator.condition([settings]).simulate(TASK) == replace(TASK, **changes)
 
 
-def test_latency_given_twice_is_refused():
+def test_latency_given_twice_is_rejected():
     with pytest.raises(SurefootError, match="servo_latency is given twice"):
         Simulator(servo_latency=0.001).condition([("servo_latency=0",)])
 
 
-def test_control_step_of_a_file_must_be_the_tasks():
+def test_control_step_of_a_file_must_equal_the_tasks():
     robot = RobotDescription.load("minitaur")
     write_params(Path("all.toml"), robot, PhysicalParams.nominal(robot))
     own = robot.timing.control_step
@@ -108,7 +108,7 @@ def test_control_step_of_a_file_must_be_the_tasks():
 # --- commands that run a policy ---------------------------------------------------------------------------
 
 
-def test_evaluate_runs_on_the_robot_of_a_file():
+def test_evaluate_uses_the_parameters_of_a_file():
     own = result("evaluate trot", *SHORT)
     file = result("evaluate trot --params robot.toml --out out", *SHORT)
     words = "--set voltage=15.0 --control-latency 0.01 --actuator constraint"
@@ -124,7 +124,7 @@ def test_evaluate_runs_on_the_robot_of_a_file():
         assert meta["params_source"] == SOURCE
 
 
-def test_gap_simulates_the_robot_on_all_sides():
+def test_gap_uses_the_parameters_in_all_worlds():
     words = "gap trot --to mujoco --params robot.toml --to-set voltage=14 --episodes 2 --duration 0.3"
     (policy,) = result(words, *ONE)["policies"]
     assert policy["home"] == {"actuator": "dc", "params": AS_JSON, "params_source": SOURCE}
@@ -132,7 +132,7 @@ def test_gap_simulates_the_robot_on_all_sides():
     home, away = (EpisodeTrace.load(f"gap/trot/{world}/run_001.npz").meta for world in ("mujoco", "mujoco-away"))
     assert home["params"]["motor_strength"] == away["params"]["motor_strength"] == list(STRENGTH)
     assert (home["params"]["voltage"], away["params"]["voltage"]) == (15.4, 14.0)
-    # Recorded runs stay as they are, and the robot stands beside them.
+    # Recorded runs are unchanged, and are compared with the robot of the file.
     shutil.copytree("gap/trot/mujoco-away", "recorded")
     before = [path.read_bytes() for path in sorted(Path("recorded").iterdir())]
     words = "gap trot --to trace recorded --params robot.toml --episodes 2 --duration 0.3 --out result"
@@ -142,14 +142,14 @@ def test_gap_simulates_the_robot_on_all_sides():
     assert [path.read_bytes() for path in sorted(Path("recorded").iterdir())] == before
 
 
-def test_sensitivity_takes_the_robot_as_nominal():
+def test_sensitivity_uses_the_parameters_as_nominal():
     Path("ranges.yaml").write_text("voltage: [14.0, 15.4]\n")
     words = "evaluate sensitivity trot --values 2 --episodes 1 --duration 0.12 --ranges ranges.yaml --params robot.toml"
     (policy,) = result(words, *ONE)["policies"]
     assert (policy["params"], policy["params_source"]) == (AS_JSON, SOURCE)
     lines = [line.split(",") for line in Path("sensitivity/episodes.csv").read_text().splitlines()]
     returns = {line[lines[0].index("value")]: line[lines[0].index("return")] for line in lines[1:]}
-    # The robot has 15.4 V, so that its world and that test world are one.
+    # The robot has 15.4 V, so that its nominal world equals the test world with 15.4 V.
     assert float(returns["15.4"]) == pytest.approx(policy["nominal_return"], abs=1e-6)
 
 
@@ -159,7 +159,7 @@ TINY = ["--num-envs", "8", "--steps-per-update", "8", "--steps", "128", "--evalu
 TINY += ["--evaluation-episodes", "2", "--task.max-steps", "40", "--threads", "1", "--learning-threads", "1"]
 
 
-def test_train_takes_simulator_and_file():
+def test_train_uses_simulator_options_and_file():
     pytest.importorskip("torch")
     from surefoot.cli.train import _parse
 
@@ -174,8 +174,8 @@ def test_train_takes_simulator_and_file():
     assert (task.actuator, task.params_source) == ("dc", {})
 
 
-def test_training_leaves_out_gains_that_an_identification_estimated():
-    """The contract states the gains of a training and the robot gets these: an estimate's error would act twice."""
+def test_training_ignores_gains_estimated_by_an_identification():
+    """The robot uses the gains of the contract, so an error of an estimate would act twice."""
     pytest.importorskip("torch")
     from surefoot.cli.train import _parse
 
@@ -185,12 +185,12 @@ def test_training_leaves_out_gains_that_an_identification_estimated():
     assert task.params == {name: value for name, value in VALUES.items() if name != "servo_kp"}
     task = _parse(["trot", "--params", "found.toml", "--set", "servo_kp=1.1"])[0].task
     assert task.params == {**VALUES, "servo_kp": 1.1}
-    # A simulation of the identified robot has them, and so has a training on gains that somebody wrote down.
+    # A simulation of the identified robot uses them, and so does a training with gains that were set by hand.
     assert Condition(params_file=Path("found.toml")).simulate(TaskConfig()).params == VALUES
     assert _parse(["trot", "--params", "robot.toml"])[0].task.params == VALUES
 
 
-def test_train_refuses_a_file_of_another_robot_than_named(here: Path):
+def test_train_rejects_a_file_of_another_robot_than_named(here: Path):
     pytest.importorskip("torch")
     from surefoot.cli.train import _parse
 

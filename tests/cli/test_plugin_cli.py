@@ -1,4 +1,4 @@
-"""`--plugin`: the example's reward term and observation from training to the drive page and to a robot."""
+"""`--plugin`: the example's reward term and observation, from training to the drive page and deployment."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 from unittest import mock
 
 import pytest
-from processes import EmulatorHere, emulators, refused, served, surefoot
+from processes import EmulatorHere, assert_rejected, emulators, serve_page, surefoot
 
 pytest.importorskip("torch")
 pytest.importorskip("viser")
@@ -42,7 +42,9 @@ def run(repository: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory
     """Return the folder of a run with the example's plug-in."""
     folder = tmp_path_factory.mktemp("runs")
     task = repository / "examples/plugin.yaml"
-    refused(surefoot("train", task, *TINY, cwd=folder), "reward.foot_clearance is not a term; choices: progress")
+    assert_rejected(
+        surefoot("train", task, *TINY, cwd=folder), "reward.foot_clearance is not a term; choices: progress"
+    )
     done = surefoot("train", task, "--plugin", plugin, *TINY, cwd=folder)
     remove_plugins()
     assert done.returncode == 0, done.stderr
@@ -50,9 +52,11 @@ def run(repository: Path, plugin: Path, tmp_path_factory: pytest.TempPathFactory
     return next(folder.glob("runs/plugin/*"))
 
 
-def test_evaluation_needs_the_observation_and_skips_the_reward_term(run: Path, plugin: Path, tmp_path: Path) -> None:
+def test_evaluation_requires_the_observation_but_not_the_reward_term(run: Path, plugin: Path, tmp_path: Path) -> None:
     policy, words = run / "policy.onnx", ("--episodes", "1", "--json")
-    refused(surefoot("evaluate", policy, *words), "needs observation 'lean' of a plug-in", "--plugin 'plugin.py'")
+    assert_rejected(
+        surefoot("evaluate", policy, *words), "needs observation 'lean' of a plug-in", "--plugin 'plugin.py'"
+    )
     whole = surefoot("evaluate", policy, *words, "--plugin", plugin)
     assert (whole.returncode, whole.stderr) == (0, "")
     remove_plugins()
@@ -66,15 +70,17 @@ def test_evaluation_needs_the_observation_and_skips_the_reward_term(run: Path, p
     assert json.loads(part.stdout)["return_mean"] > json.loads(whole.stdout)["return_mean"]
 
 
-def test_a_run_is_resumed_with_the_plugin_that_is_named_again(run: Path, plugin: Path) -> None:
-    refused(surefoot("train", "--resume", run), "was trained with 'foot_clearance', 'lean' of a plug-in; name the")
+def test_a_run_is_resumed_with_the_plugin_given_again(run: Path, plugin: Path) -> None:
+    assert_rejected(
+        surefoot("train", "--resume", run), "was trained with 'foot_clearance', 'lean' of a plug-in; name the"
+    )
     load_plugins([plugin])
     assert RunFolder.open(run)[1].task.observations[0] == "lean"
 
 
-def test_the_drive_page_answers(run: Path, plugin: Path) -> None:
+def test_the_drive_page_runs_a_policy_with_a_plugin(run: Path, plugin: Path) -> None:
     with (
-        served("drive", run / "policy.onnx", "--plugin", plugin) as address,
+        serve_page("drive", run / "policy.onnx", "--plugin", plugin) as address,
         urllib.request.urlopen(address, timeout=20) as page,
     ):
         assert page.status == 200
@@ -82,14 +88,14 @@ def test_the_drive_page_answers(run: Path, plugin: Path) -> None:
 
 @pytest.fixture
 def emulate() -> Iterator[Callable[..., Any]]:
-    """Start emulators that end with the test, whose robots stand up soon."""
-    with mock.patch.multiple(motion_runner, UP=0.3, DOWN=0.3), emulators(EmulatorHere) as start:
+    """Start emulators whose robots stand up quickly, and which are ended with the test."""
+    with mock.patch.multiple(motion_runner, STARTUP_TIME=0.3, SHUTDOWN_TIME=0.3), emulators(EmulatorHere) as start:
         yield start
 
 
 def test_a_robot_runs_the_policy(run: Path, plugin: Path, emulate: Callable[..., Any], tmp_path: Path) -> None:
     words = ("deploy", run / "policy.onnx", "--port", emulate("--lockstep").port, "--lockstep", "--duration", "0.3")
-    refused(surefoot(*words, cwd=tmp_path), "needs observation 'lean' of a plug-in")
+    assert_rejected(surefoot(*words, cwd=tmp_path), "needs observation 'lean' of a plug-in")
     done = surefoot(*words, "--json", "--plugin", plugin, cwd=tmp_path)
     assert done.returncode == 0, done.stdout + done.stderr
     (result,) = json.loads(done.stdout)["runs"]

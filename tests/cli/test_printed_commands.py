@@ -1,4 +1,4 @@
-"""Every command that another command prints works when it is pasted in another folder, whatever the robot."""
+"""Commands that are printed as suggestions work in another folder, for any robot."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ pytest.importorskip("torch")
 pytest.importorskip("mujoco")
 pytest.importorskip("viser")
 
-from edited import maxitaur
-from processes import EmulatorHere, emulators, printed_commands, served, surefoot
+from processes import EmulatorHere, emulators, printed_commands, serve_page, surefoot
+from shipped_variants import maxitaur
 
 from surefoot.cli.helpers.output import next_command
 from surefoot.robot import RobotDescription
@@ -31,7 +31,7 @@ TINY = (
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A folder with a blank in its name and the robot "maxitaur" in `my robot`, and a cache of its own."""
+    """Folder with a space in its name, the robot "maxitaur" in `my robot`, and a separate cache."""
     folder = tmp_path_factory.mktemp("all mine")
     maxitaur(folder / "my robot")
     with pytest.MonkeyPatch.context() as patch:
@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 @pytest.fixture(scope="module")
 def printed(folder: Path) -> dict[str, dict[str, list[str]]]:
-    """Commands that were printed, by the command that did so; afterwards, the robot's folder is gone."""
+    """Printed commands, by the command that printed them; the robot's folder is removed afterwards."""
     robot, printed = RobotDescription.load(folder / "my robot"), {}
 
     def run(*words: object) -> None:
@@ -76,7 +76,7 @@ def test_a_printed_command_works_in_another_folder_without_the_robots_folder(
 ):
     assert list(printed[command]) == purposes
     look = printed[command]["look at"]
-    # What it would serve, as a file: the whole page.
+    # Write the page to a file instead of serving it.
     done = surefoot(*look[look.index("show") :], "--out", tmp_path / "page.html", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "maxitaur" in (tmp_path / "page.html").read_text()
@@ -85,11 +85,11 @@ def test_a_printed_command_works_in_another_folder_without_the_robots_folder(
 @pytest.mark.parametrize(("purpose", "first"), [("look at", "show"), ("drive it", "drive")])
 def test_a_printed_page_answers(purpose: str, first: str, printed: dict[str, dict[str, list[str]]], tmp_path: Path):
     words = printed["train"][purpose]
-    with served(*words[words.index(first) :], cwd=tmp_path) as address:
+    with serve_page(*words[words.index(first) :], cwd=tmp_path) as address:
         assert urllib.request.urlopen(address).status == 200
 
 
-def test_other_commands_take_what_carries_its_robot(printed: object, folder: Path, tmp_path: Path):
+def test_other_commands_accept_files_that_contain_their_robot(printed: object, folder: Path, tmp_path: Path):
     (run,) = folder.glob("my runs/*/*")
     for words in (
         ("evaluate", "--trace", folder / "my figures"),
@@ -100,7 +100,7 @@ def test_other_commands_take_what_carries_its_robot(printed: object, folder: Pat
         assert done.returncode == 0, (words, done.stderr)
 
 
-def test_the_program_is_named_so_that_a_shell_finds_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_program_is_printed_with_a_path_unless_it_is_on_the_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     script = Path(sys.executable).with_name("surefoot")
     if not script.exists():
         pytest.skip("surefoot is not installed as a script")
@@ -111,7 +111,7 @@ def test_the_program_is_named_so_that_a_shell_finds_it(tmp_path: Path, monkeypat
 
     monkeypatch.setenv("PATH", str(script.parent))
     assert printed() == ["surefoot", "show", here]
-    # Another program of this name comes first.
+    # Another program with this name comes first on the PATH.
     other = tmp_path / "surefoot"
     other.write_text("#!/bin/sh\n")
     other.chmod(0o755)

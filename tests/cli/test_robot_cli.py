@@ -1,4 +1,4 @@
-"""`surefoot robot new` and `surefoot robot check`: a robot from a file, and the checks of it."""
+"""`surefoot robot new` and `surefoot robot check`: import of a robot, and checks of its description."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from surefoot.robot.importing.reader import read_robot
 SOLO = RobotDescription.load("solo8")
 
 
-def test_a_file_becomes_a_robot_with_a_picture(tmp_path: Path) -> None:
+def test_an_imported_robot_has_an_image(tmp_path: Path) -> None:
     result = surefoot("robot", "new", str(SOLO.urdf.path), "--name", "mine", "--knees", "backward", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert "mine: 2.18 kg, 8 motors, legs of 0.320 m, forward is +x of the file" in result.stdout
@@ -32,7 +32,7 @@ def test_a_file_becomes_a_robot_with_a_picture(tmp_path: Path) -> None:
     assert robot.motor_names == tuple(name for leg in ("FL", "FR", "HL", "HR") for name in (f"{leg}_HFE", f"{leg}_KFE"))
     picture = np.asarray(Image.open(tmp_path / "mine/robot.png").convert("RGB"), int)
     assert picture.shape == (720, 960, 3)
-    # The robot's grey, and the axes' red and green, are there.
+    # The image contains the robot's grey, and the axes' red and green.
     for red, green, blue in ((200, 40, 40), (30, 140, 50)):
         assert (np.abs(picture - [red, green, blue]).sum(axis=2) < 30).sum() > 100
 
@@ -46,12 +46,12 @@ def test_a_warning_passes_and_origins_of_numbers_are_printed(
     out = capsys.readouterr().out
     assert "stated   actuator.torque_limit = 20.0: N m, from odd.urdf" in out
     assert "warn      left and right        back_left's upper link is 4 mm longer than back_right's" in out
-    assert "to do: correct places and lengths of links" in out
+    assert "to do: correct positions and lengths of links" in out
     assert "9 passed, 1 passed with a warning, 0 failed" in out
     assert "train trot --robot" in out
     assert main(["robot", "check", "odd"]) == 0
     out = capsys.readouterr().out
-    assert re.search(r"guessed  actuator.kp = [\d.]+: 1.5 m g l, the stiffness", out)
+    assert re.search(r"guessed  actuator.kp = [\d.]+: 1.5 m g l, so that two legs", out)
     assert main(["robot", "check", "odd", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert [item["name"] for item in report["checks"] if item["warn"]] == ["left and right"]
@@ -64,7 +64,7 @@ def test_check_reports_a_placeholder_torque_and_unequal_legs(tmp_path: Path) -> 
     folder.mkdir()
     sheet, urdf = (SOLO.folder / "robot.toml").read_text(), SOLO.urdf.path.read_text()
     (folder / "robot.toml").write_text(sheet.replace("torque_limit = 2.7", "torque_limit = 1000.0"))
-    # One of the upper links is twice as heavy.
+    # One upper link has twice the mass of the others.
     place = urdf.index("<mass", urdf.index('name="front_left_upper"'))
     end = urdf.index("/>", place)
     (folder / "solo8.urdf").write_text(urdf[:place] + '<mass value="0.5" ' + urdf[end:])
@@ -79,32 +79,32 @@ def test_check_reports_a_placeholder_torque_and_unequal_legs(tmp_path: Path) -> 
     assert all(item["remedy"] for item in wrong.values())
 
 
-def test_check_names_the_motor_that_is_too_weak_and_the_torque_that_is_asked_for(tmp_path: Path) -> None:
+def test_check_names_the_motor_that_is_too_weak_and_the_required_torque(tmp_path: Path) -> None:
     folder = tmp_path / "weak"
     shutil.copytree(SOLO.folder, folder)
     sheet = (folder / "robot.toml").read_text()
-    # Standing takes .7 N m of a knee, a trot 1.8.
+    # Standing requires 0.7 N m in a knee, a trot 1.8 N m.
     (folder / "robot.toml").write_text(sheet.replace("torque_limit = 2.7", "torque_limit = 0.5"))
     result = surefoot("robot", "check", str(folder), "--json", cwd=tmp_path)
     assert result.returncode == 3, result.stderr
     wrong = {item["name"]: item for item in json.loads(result.stdout)["checks"] if item["passed"] is False}
     assert set(wrong) == {"stands", "torque to stand", "torque to trot"}
     for item in wrong.values():
-        assert "0.5 N m are there" in item["message"]
-        assert "KFE is asked for 0.7" in item["message"] or item["name"] == "torque to trot"
+        assert "has 0.5 N m" in item["message"]
+        assert "KFE needs 0.7" in item["message"] or item["name"] == "torque to trot"
         assert "stronger motors" in item["remedy"]
         assert "stiffer gains" not in item["remedy"]
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())
-def test_robots_that_ship_pass(name: str, tmp_path: Path) -> None:
+def test_released_robots_pass(name: str, tmp_path: Path) -> None:
     result = surefoot("robot", "check", name, "--json", cwd=tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
     assert len(json.loads(result.stdout)["checks"]) >= 7
 
 
 def test_a_step_too_long_for_light_rotors_is_shortened(tmp_path: Path) -> None:
-    # Without the file's armature the guess is .005 m l^2; with a hundredth of it the damping asks for a shorter step.
+    # Without armature in the file, 0.005 m l^2 is guessed; with a hundredth of it the damping requires a shorter step.
     legs = "".join(
         f"""<body name="{n}" pos="{x} {y} 0"><joint name="{n}_hip" axis="0 1 0" armature="1e-5"/>
         <inertial pos="0 0 -.1" mass=".1" diaginertia="1e-4 1e-4 1e-4"/>
@@ -125,7 +125,7 @@ def test_a_step_too_long_for_light_rotors_is_shortened(tmp_path: Path) -> None:
     assert RobotDescription.load(tmp_path / "dog").timing.servo_step < 0.001
 
 
-def test_knees_are_asked_for_on_a_terminal_where_the_file_does_not_show_them(
+def test_uncertain_knees_are_asked_for_on_a_terminal(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     solo = read_robot(SOLO.urdf.path)
@@ -141,11 +141,11 @@ def test_knees_are_asked_for_on_a_terminal_where_the_file_does_not_show_them(
     go2 = read_robot(RobotDescription.load("go2").urdf.path)
     capsys.readouterr()
     assert robot_command.find_knees(go2) is None
-    assert capsys.readouterr().out == "knees point backward, by the knees' limits\n"
+    assert capsys.readouterr().out == "knees point backward, according to the knees' limits\n"
 
 
 def solo8_with(pattern: str, text: str) -> str:
-    """Return the URDF of a robot that ships with another text wherever a pattern is."""
+    """Return the URDF of a released robot with all matches of a pattern replaced."""
     changed = re.sub(pattern, text, RobotDescription.load("solo8").urdf.path.read_text(), flags=re.DOTALL)
     assert changed != RobotDescription.load("solo8").urdf.path.read_text()
     return changed
@@ -163,7 +163,7 @@ def solo8_with(pattern: str, text: str) -> str:
     ],
 )
 @pytest.mark.parametrize("exists", [False, True])
-def test_a_folder_that_can_not_be_read_is_not_written(
+def test_no_folder_is_written_for_an_invalid_robot(
     pattern: str,
     text: str,
     message: str,

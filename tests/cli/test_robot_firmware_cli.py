@@ -1,4 +1,4 @@
-"""`surefoot robot firmware new`: a robot's firmware as a folder of C."""
+"""`surefoot robot firmware`: a robot's firmware as a folder of C sources, and the test of a motor."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.firmware.project import build_firmware
 
 
 @needs_gcc
-def test_a_robots_firmware_is_written_and_compiles_and_runs_the_emulated_robot(tmp_path, capsys):
+def test_firmware_compiles_and_runs_the_emulated_robot(tmp_path, capsys):
     folder = tmp_path / "fw"
     assert main(["robot", "firmware", "new", "solo8", "--out", str(folder)]) == 0
     assert f"make -C {folder}" in capsys.readouterr().out
@@ -23,7 +23,7 @@ def test_a_robots_firmware_is_written_and_compiles_and_runs_the_emulated_robot(t
     assert main(["emulate", "--robot", "solo8", *words]) == 0
     assert "frames received 0" in capsys.readouterr().err
     assert main(["emulate", "--robot", "go2", *words]) == 2
-    assert "is not one of robot go2" in capsys.readouterr().err
+    assert "is not for robot go2" in capsys.readouterr().err
     assert main(["robot", "firmware", "new", "solo8", "--out", str(folder)]) == 2
     assert "fw exists; give another name" in capsys.readouterr().err
 
@@ -32,11 +32,11 @@ def test_a_robots_firmware_is_written_and_compiles_and_runs_the_emulated_robot(t
     ("fault", "code", "text"),
     [
         (None, 0, "pass      back_left_1_motor     a duty of -0.05 turned it by -0."),
-        ("flip-sign=3", 3, "the wrong way"),
+        ("flip-sign=3", 3, "the wrong direction"),
         ("swap-motors=2", 3, "and back_left_2_motor by -1."),
     ],
 )
-def test_one_motor_is_turned_without_a_servo(fault, code, text, capsys):
+def test_one_motor_is_turned_without_the_servo(fault, code, text, capsys):
     robot = EmulatorHere("--lockstep", "--rack", *(("--fault", fault) if fault else ()))
     words = ["back_left_1_motor", "--port", robot.port, "--lockstep", "--yes", "--duty", "-0.05"]
     try:

@@ -1,4 +1,4 @@
-"""The page of recorded runs in a real browser, served and as one file; policies and runs, told apart."""
+"""`surefoot show`: the page of recorded runs in a real browser, served and as one file; its kinds of arguments."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ MakeRun = Callable[..., EpisodeTrace]
 
 
 def pushed(make_run: MakeRun, name: str, speed: float) -> EpisodeTrace:
-    """Return a run whose base is pushed to the left all the time."""
+    """Return a run whose base is constantly pushed to the left."""
     trace = swinging(make_run, name, speed).trace
     return replace(trace, push_force_world=np.tile([0.0, 30.0, 0.0], (trace.num_steps, 1)))
 
@@ -59,7 +59,7 @@ def browser() -> Iterator[Browser]:
 
 
 def opened(browser: Browser, url: str) -> Page:
-    """Open a page at time 0, paused; it must request nothing else and raise no errors."""
+    """Open a page, paused at time 0; it must not request anything else or raise errors."""
     tab, requests = new_page(browser, 480, 400), list[str]()
     wrong = errors_of(tab)
     tab.on("request", lambda request: requests.append(request.url))
@@ -74,7 +74,7 @@ def opened(browser: Browser, url: str) -> Page:
 
 @pytest.fixture(scope="module")
 def shared(traces: list[Path], browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
-    """Give a tab that shows the runs from a file."""
+    """Yield a tab that shows the runs from a file."""
     file = tmp_path_factory.mktemp("shared") / "runs.html"
     assert main(["show", *map(str, traces), "--out", str(file)]) == 0
     assert file.stat().st_size < 1.5e6
@@ -86,7 +86,7 @@ def shared(traces: list[Path], browser: Browser, tmp_path_factory: pytest.TempPa
 
 @pytest.fixture
 def page(shared: Page) -> Page:
-    """Give the tab with both robots side by side, at the start, and not playing."""
+    """Return the tab with both robots side by side, paused at the start."""
     shared.locator("#layout").select_option("side")
     shared.locator("#time").fill("0")
     return shared
@@ -94,7 +94,7 @@ def page(shared: Page) -> Page:
 
 @contextmanager
 def served(trace: Path, *words: str) -> Iterator[str]:
-    """Serve a trace and give the page's address. Ctrl-C ends the command, though its parent ignores SIGINT."""
+    """Serve a trace and yield the page's address. Ctrl-C must end the command although its parent ignores SIGINT."""
     process = subprocess.Popen(
         [sys.executable, "-m", "surefoot", "show", str(trace), "--page-port", "0", *words],
         stdout=subprocess.PIPE,
@@ -113,7 +113,7 @@ def served(trace: Path, *words: str) -> Iterator[str]:
 
 
 def place(page: Page, node: str) -> list[float]:
-    """Return the position of a frame of the scene in its parent [m]."""
+    """Return the position of a scene frame relative to its parent [m]."""
     script = "node => document.getElementById('view').contentWindow.__viserMutable.nodePoseData[node].position"
     position: list[float] = page.evaluate(script, node)
     return position
@@ -132,7 +132,7 @@ def test_time_line_moves_each_robot_at_its_speed(page: Page):
 @in_browser
 @pytest.mark.parametrize("number", [0, 1])
 def test_drawn_links_match_forward_kinematics(page: Page, number: int):
-    """The places that the browser draws, of every frame below the base, against forward kinematics in Python."""
+    """Compare the positions of all frames below the base in the browser with forward kinematics in Python."""
     page.locator("#time").fill("0.3")
     robot = RobotDescription.load(ROBOTS[number])
     angles = robot.resting_angles + 0.2 * math.sin(2 * math.pi * 0.3)
@@ -156,7 +156,7 @@ def test_drawn_links_match_forward_kinematics(page: Page, number: int):
 
 
 @in_browser
-def test_layouts_place_and_hide_robots(page: Page):
+def test_layouts_position_and_hide_robots(page: Page):
     assert place(page, "/world/r0")[1] - place(page, "/world/r1")[1] > 0.5
     page.locator("#layout").select_option("over")
     assert place(page, "/world/r0")[1] == place(page, "/world/r1")[1] == 0.0
@@ -189,7 +189,7 @@ def test_page_plays_and_follows_a_click_into_a_plot(page: Page):
 @in_browser
 def test_plots_show_values_at_the_cursor(page: Page):
     page.locator("#time").fill("1")
-    figures = page.locator(".plot").filter(has_text="speed forward").locator("output span").all_inner_texts()
+    figures = page.locator(".plot").filter(has_text="forward velocity").locator("output span").all_inner_texts()
     assert figures == ["0.50", "1.00"]
     assert page.locator(".plot").filter(has_text="push").locator("output span").all_inner_texts() == ["30.00", "30.00"]
     assert page.locator(".plot").filter(has_text="yaw rate").is_hidden()
@@ -217,14 +217,14 @@ def test_page_for_other_machines_has_a_token(traces: list[Path]):
                 urllib.request.urlopen(inside)
 
 
-def test_show_draws_the_map_that_it_is_given(make_run: MakeRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_show_draws_the_given_height_map(make_run: MakeRun, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     trace = swinging(make_run, terrain="hill.npz").trace.save(tmp_path / "run.npz")
     heights = np.zeros((41, 41))
     heights[30:] = 0.2
     np.savez(tmp_path / "hill.npz", heights=heights, cell=0.1)
     show = ["show", str(trace), "--out", str(tmp_path / "x.html")]
     assert main(show) == 0
-    assert "stood on the map 'hill.npz', which is not drawn: give its file with --terrain" in capsys.readouterr().out
+    assert "the height map 'hill.npz' is not shown; give its file with --terrain" in capsys.readouterr().out
     level = len((tmp_path / "x.html").read_text())
     assert main([*show, "--terrain", str(tmp_path / "hill.npz")]) == 0
     assert "stood" not in capsys.readouterr().out
@@ -283,7 +283,7 @@ def test_the_help_of_show_has_the_options_of_policies_and_of_runs(capsys: pytest
     assert all(option in output for option in ("--push-force", "--layout", "--page-port"))
 
 
-def test_a_broken_file_beside_a_robot_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_damaged_file_is_named_with_the_robot_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     (tmp_path / "broken.npz").write_bytes(b"PK\x03\x04 and no more")
     assert main(["show", str(tmp_path / "broken.npz"), "--robot", "minitaur"]) == 2
     error = capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""`surefoot study`: stopped, killed, one worker killed, and finished by the same command."""
+"""`surefoot study`: interrupted, killed or with a killed worker, it is finished by running the same command again."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from processes import SUREFOOT, refused, surefoot, wait_until
+from processes import SUREFOOT, assert_rejected, surefoot, wait_until
 
 from surefoot.api.extras import install_command
 from surefoot.files import read_json_lines
@@ -50,7 +50,7 @@ def worker(folder: Path, group: str) -> int:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process runs; one that has ended and that nobody asks about does not."""
+    """Return whether a process is running; a zombie is not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:
@@ -63,7 +63,7 @@ def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     (tmp_path / "tiny.yaml").write_text(TINY)
     groups = ("plain", "drawn")
 
-    # Killed: its worker ends with it.
+    # The study is killed: its worker ends with it.
     process = start(tmp_path, workers=1)
     wait_until(lambda: updates(tmp_path, "plain") >= 3)
     trains = worker(tmp_path, "plain")
@@ -72,7 +72,7 @@ def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     wait_until(lambda: not alive(trains))
     done = updates(tmp_path, "plain")
 
-    # It goes on from the last checkpoint. A worker that dies is replaced, and passes the same places again.
+    # Training continues from the last checkpoint. A worker that dies is replaced, and repeats the same steps.
     process = start(tmp_path, workers=2)
     wait_until(lambda: updates(tmp_path, "plain") >= done + 2 and updates(tmp_path, "drawn") >= 2)
     os.kill(first := worker(tmp_path, "drawn"), signal.SIGKILL)
@@ -80,17 +80,17 @@ def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     again = updates(tmp_path, "drawn")
     wait_until(lambda: updates(tmp_path, "drawn") >= again + 2)
 
-    # Ctrl-C saves.
+    # Ctrl-C saves the training.
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=300)
     assert process.returncode == 130, errors
     assert re.search(r"drawn +seed 0 +lost ", output)
     assert re.search(r"drawn +seed 0 +stopped ", output)
-    assert "The same command goes on" in output
+    assert "The same command continues" in output
     assert errors == ""
     assert all((tmp_path / "runs/tiny" / g / "seed_0/checkpoints/latest.ckpt").exists() for g in groups)
 
-    # One training can't begin; the others are finished and reported.
+    # One training can't start; the others are finished and reported.
     (tmp_path / "tiny.yaml").write_text(BROKEN)
     place = tmp_path / "runs/tiny/broken/seed_0"
     place.parent.mkdir()
@@ -104,15 +104,15 @@ def test_a_study_resumes_after_kills_and_interrupts(tmp_path: Path) -> None:
     check_results(tmp_path / "results" / "tiny")
 
     (tmp_path / "tiny.yaml").write_text(TINY.replace("max_steps: 40", "max_steps: 41"))
-    refused(
+    assert_rejected(
         surefoot("study", "tiny.yaml", cwd=tmp_path),
         "surefoot: error: runs/tiny/plain/seed_0: was trained with task.max_steps 40, and the study asks for 41; move "
-        "the folder away to train it anew, give another --out, or change the study back\n",
+        "the folder away to train it again, choose another --out, or change the study back\n",
     )
 
 
 def check_log(folder: Path) -> None:
-    """Every update stands in the log once, whatever stopped the run."""
+    """Check that every update is in the log exactly once, however the run was interrupted."""
     for group in ("plain", "drawn"):
         log = (folder / "runs/tiny" / group / "seed_0" / "figures.jsonl").read_text().splitlines()
         assert [json.loads(line)["steps"] for line in log] == [256 * (n + 1) for n in range(STEPS // 256)]
@@ -128,7 +128,7 @@ def check_results(out: Path) -> None:
         assert float(row["sensitivity_std"]) > 0
     summary = json.loads((out / "summary.json").read_text())
     assert summary["missing"] == ["broken seed 0"]
-    # One seed gives no interval of a mean, but one of a share.
+    # A single seed gives no confidence interval of a mean, but one of a fraction.
     assert all((row["low"] is None) == (row["unit"] != "%") for row in summary["groups"])
     report = (out / "README.md").read_text()
     assert "surefoot study tiny.yaml --workers 1" in report
@@ -160,7 +160,7 @@ questions:
 
 
 def robots_study(folder: Path) -> Path:
-    """Write a study of two robots that are identified, in ranges that MuJoCo models."""
+    """Write a study of two robots to identify, with parameter ranges that MuJoCo models."""
     folder.mkdir()
     (folder / "ranges.yaml").write_text("base_mass_ratio: [0.8, 1.2]\nvoltage: [14.0, 16.8]\n")
     (folder / "hidden.yaml").write_text(ROBOTS.replace("ranges: ensemble", "ranges: ranges.yaml"))
@@ -175,7 +175,7 @@ def robots_study(folder: Path) -> Path:
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 def test_a_study_on_robots_that_was_killed_twice_has_the_same_digits(tmp_path: Path) -> None:
-    """Two robots, two groups and one seed, once at a stretch and once killed in the first and in the third training."""
+    """Two robots, two groups, one seed: once without interruption, and once killed in the first and third training."""
     whole, parts = robots_study(tmp_path / "whole"), robots_study(tmp_path / "parts")
     command = [*SUREFOOT, "study", "hidden.yaml", "--workers", "1"]
     for run in ("half/robot_201", "whole/robot_201"):
@@ -200,7 +200,7 @@ def test_a_study_on_robots_that_was_killed_twice_has_the_same_digits(tmp_path: P
     report = (parts / "results/hidden/README.md").read_text()
     assert "Not complete" not in report
     assert "- The gap of the whole is smaller: **" in report
-    # Another identification is another training.
+    # Another identification requires another training.
     (parts / "results/hidden/robots/robot_202.toml").write_text("[params]\nbase_mass_ratio = 1.0\n")
     done = surefoot("study", "hidden.yaml", cwd=parts)
     assert done.returncode == 2
@@ -213,9 +213,9 @@ def test_identify_takes_a_study_with_robots_and_skips_those_that_are_identified(
     assert (done.returncode, done.stdout) == (0, "hidden: all 2 robots are identified\n"), done.stderr
     (folder / "tiny.yaml").write_text(TINY)
     done = surefoot("study", "identify", "tiny.yaml", cwd=folder)
-    refused(done, "tiny.yaml: the study has no robots to identify")
+    assert_rejected(done, "tiny.yaml: the study has no hidden robots to identify")
     (folder / "hidden.yaml").write_text(ROBOTS.replace("world: mujoco", "world: ensemble"))
-    refused(surefoot("study", "hidden.yaml", cwd=folder), "world is 'ensemble'")
+    assert_rejected(surefoot("study", "hidden.yaml", cwd=folder), "world is 'ensemble'")
 
 
 GAP = """
@@ -239,7 +239,7 @@ findings: [{groups: [improved, baseline], text: the baseline had the larger gap.
 def test_a_study_of_the_reality_gap(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Training, runs in two worlds and the report; MuJoCo stands in for the other world."""
+    """Train, run in two worlds and report; MuJoCo replaces the other world."""
     from surefoot.cli import study
     from surefoot.cli.helpers import study_results
     from surefoot.cli.main import main
@@ -248,7 +248,7 @@ def test_a_study_of_the_reality_gap(
     from surefoot.world.sim_world import SimWorld
 
     def train_here(title: str, trainings: list[Training], *_: object) -> TrainingsOutcome:
-        """Train as a worker does, without Ray."""
+        """Train like a worker, without Ray."""
         for training in trainings:
             worker = Worker(".")
             report = worker.begin(training)
@@ -290,10 +290,10 @@ def test_a_study_of_the_reality_gap(
     capsys.readouterr()
     worlds.clear()
     before = (out / "episodes.csv").read_text()
-    # Run folders name this process's command, not that of a worker.
+    # Run folders contain this process's command, not the worker's.
     for path in (tmp_path / "runs/gaps").glob("*/*/run.json"):
         assert json.loads(path.read_text())["command"] == ["surefoot", *sys.argv[1:]]
-    # All that a finished run needs to be taken up again.
+    # All files that are required to continue a finished run.
     needed = {"policy.onnx", "config.yaml", "run.json", "figures.jsonl", "evaluations"}
     for file in (tmp_path / "runs/gaps").glob("*/*/*"):
         if file.name not in needed:
@@ -301,11 +301,11 @@ def test_a_study_of_the_reality_gap(
     assert main(["study", "gaps.yaml"]) == 0
     output = capsys.readouterr().out
     assert "all 2 trainings are finished" in output
-    assert "return at home" not in output
+    assert "return in training simulator" not in output
     assert (out / "episodes.csv").read_text() == before
 
 
-def test_a_missing_world_is_refused_before_training(
+def test_a_missing_world_is_rejected_before_training(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from surefoot.cli.helpers import study_results

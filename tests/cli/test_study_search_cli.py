@@ -1,4 +1,4 @@
-"""`surefoot study search`: a computer that is lost, a search that is killed, and the report."""
+"""`surefoot study search`: loss of a computer, a killed search, and the report."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from processes import SUREFOOT, refused, surefoot, wait_until
+from processes import SUREFOOT, assert_rejected, surefoot, wait_until
 from ray_nodes import cluster, free_port
 
 from surefoot.files import read_json_lines
@@ -59,11 +59,11 @@ def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> Non
     with cluster(tmp_path, cpus=1) as nodes:
         second = nodes.join()
         process = start(tmp_path, "--trials", "3", "--ray", nodes.address)
-        # One trial on each computer, both well before their ends, whichever of the three they are.
+        # One trial on each computer, both well before their end, whichever of the three trials they are.
         wait_until(lambda: sum(5 <= len(rows(tmp_path, number)) <= 2 * UPDATES // 3 for number in range(3)) == 2)
         second.kill()
 
-        # The search itself is killed when it has noticed that, and its journal is cut off.
+        # The search is killed after it has noticed the loss, and its journal is truncated.
         assert process.stdout is not None
         lost = next(results[1] for line in process.stdout if (results := re.match(r"trial_(\d{4}) .* lost ", line)))
         wait_until(lambda: len(rows(tmp_path, 2)) >= 5)
@@ -79,7 +79,7 @@ def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> Non
     check(tmp_path, 3)
     check_same(tmp_path, int(lost))
     check_report(tmp_path / "out", 3)
-    # Nothing is left to train: no Ray is asked for.
+    # No training is left, so Ray is not started.
     tables = ("trials.csv", "best.csv", "top.csv")
     before = [(tmp_path / "out" / name).read_text() for name in tables]
     fresh = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/trials/*/evaluations/fresh_*.json")}
@@ -88,11 +88,13 @@ def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> Non
     assert result.returncode == 0, result.stderr
     assert [(tmp_path / "out" / name).read_text() for name in tables] == before
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/trials/*/evaluations/fresh_*.json")} == fresh
-    refused(surefoot(*SEARCH, cwd=tmp_path), "out: holds a search; go on with it by --resume, or give another --out")
+    assert_rejected(
+        surefoot(*SEARCH, cwd=tmp_path), "out: holds a search; go on with it by --resume, or give another --out"
+    )
 
 
 def check(folder: Path, trials: int) -> None:
-    """Every trial stands in the table once, and every update in its log once."""
+    """Check that every trial is in the table once, and every update in its log once."""
     with (folder / "out/trials.csv").open() as file:
         table = list(csv.DictReader(file))
     assert [row["trial"] for row in table] == [str(number) for number in range(trials)]
@@ -106,7 +108,7 @@ def check(folder: Path, trials: int) -> None:
 
 
 def check_same(folder: Path, number: int) -> None:
-    """A trial that was lost and taken up again is what it would have been in one go, here and without Ray."""
+    """Check that a trial that was lost and resumed equals an uninterrupted one, run without Ray."""
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
     from surefoot.world.sim_world import SimWorld
@@ -133,9 +135,9 @@ def check_report(out: Path, trials: int) -> None:
     assert len(table) == 3 * 20 * len(worlds)
 
 
-def test_an_address_without_ray_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_address_without_ray_is_rejected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("surefoot.studies.workers._CONNECT_TIMEOUT", 0.5)
     port = free_port()
     done = surefoot("study", "search", "trot", "--ray", f"127.0.0.1:{port}", cwd=tmp_path)
-    refused(done, f"ray is 127.0.0.1:{port}: no Ray answers there within 0.5 s")
+    assert_rejected(done, f"ray is 127.0.0.1:{port}: no Ray cluster answers within 0.5 s")
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""`surefoot study tune`, in this process."""
+"""`surefoot study tune`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_tune_writes_and_measures_a_gait_and_resumes_from_it(tmp_path: Path):
     assert [(row["gait"], row["control_steps"]) for row in curve] == [("trot-40", "332"), ("again", "332")]
 
 
-def test_a_handcrafted_gait_is_evaluated_and_played_as_a_policy_is(tmp_path: Path):
+def test_a_handcrafted_gait_is_evaluated_and_shown_like_a_policy(tmp_path: Path):
     pytest.importorskip("imageio_ffmpeg")
     text = "reference: {kind: foot}\nmax_steps: 20\nhandcrafted: {}\n"
     (tmp_path / "stand.yaml").write_text(text)

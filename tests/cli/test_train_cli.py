@@ -1,4 +1,4 @@
-"""`surefoot train`: options of the reference; Ctrl-C to a real process saves, resume finishes."""
+"""`surefoot train`: options of the reference; Ctrl-C saves a training, and --resume finishes it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 
 import pytest
-from processes import SUREFOOT, printed_commands, refused, surefoot
+from processes import SUREFOOT, assert_rejected, printed_commands, surefoot
 
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")
@@ -34,7 +34,7 @@ TINY = (
         (("trot", "--task.reference.kind", "foot"), "foot.height", "swing.amplitude"),
     ],
 )
-def test_the_options_of_a_reference_are_those_of_its_kind(
+def test_the_options_of_a_reference_depend_on_its_kind(
     words: tuple[str, ...], option: str, other: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit):
@@ -78,7 +78,9 @@ def test_ctrl_c_on_a_terminal_saves_and_resume_finishes(tmp_path: Path) -> None:
     assert find_policy(str(run)) == run / "policy.onnx"
     assert PolicyRuntime.load(run / "policy.onnx").contract.figures["steps"] > 0
 
-    refused(surefoot("train", "--resume", run, "--steps", "1"), "steps is 1, and", "has done", "give more")
+    assert_rejected(
+        surefoot("train", "--resume", run, "--steps", "1"), "steps is 1, but", "has already done", "give more"
+    )
     result = surefoot("train", "--resume", run, "--steps", 256 * 10, cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     assert RunFolder.open(run)[1].steps == 256 * 10

@@ -1,4 +1,4 @@
-"""`surefoot train --browser`: the newest policy on a page in a real browser, and the same weights as without it."""
+"""`surefoot train --browser`: the newest policy on a page in a real browser, without effect on the weights."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_page_shows_newer_policies_and_ends_with_the_training(page: Page, tmp_pa
         wrong = errors_of(page)
         page.goto(address)
         page.wait_for_function("document.getElementById('state').textContent.includes('m/s')")
-        # It walks at half of its top speed until it is steered.
+        # The robot walks at half of its maximum speed until it is steered.
         page.wait_for_function("points.length > 5 && points[points.length - 1].command[0] > 0.5")
         first = newest.stat().st_mtime_ns
         deadline = time.monotonic() + 60
@@ -67,12 +67,12 @@ def test_page_shows_newer_policies_and_ends_with_the_training(page: Page, tmp_pa
     finally:
         patience.cancel()
         train.kill()
-    # The page's process does not outlive a training, not even one that is killed.
+    # The page's process ends with the training, even if the training is killed.
     page.wait_for_function("document.getElementById('role').textContent.includes('has ended')")
 
 
 def content(checkpoint: Path) -> bytes:
-    """Return the content of a checkpoint without its duration."""
+    """Return the content of a checkpoint without the duration."""
     state, buffer = read_checkpoint(checkpoint), io.BytesIO()
     del state["seconds"]
     torch.save(state, buffer)

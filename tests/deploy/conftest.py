@@ -1,4 +1,4 @@
-"""A robot for tests of the host's side: the real protocol, and motors that reach their targets at once."""
+"""A toy robot for tests of the host: the real protocol, and motors that reach their targets immediately."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from surefoot.deploy.board.firmware import Firmware, MotorOrder, Sensors, Vitals
+from surefoot.deploy.board.firmware import Firmware, MotorCommand, Sensors, Vitals
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.loop import RunMonitor, Snapshot
@@ -21,7 +21,7 @@ from surefoot.robot import RobotDescription
 
 
 class ToyRobot:
-    """The other end of a link in lockstep, as a port: robot time is the time in the frames.
+    """The other end of a link in lockstep, as a port; robot time is the time in the frames.
 
     Attributes:
         sensors: called with the robot's time [s] and its readings, may return others.
@@ -58,13 +58,13 @@ class ToyRobot:
         return self.sensors(now / 1e6, plain)
 
     def run_to(self, now: int) -> None:
-        """Run to a time in steps of a millisecond, and send states that are due."""
+        """Run to a time in steps of 1 ms, and send due states."""
         firmware = self.firmware
         while self._ticked + 1000 <= now:
             self._ticked += 1000
             self._report_until(self._ticked)
             vitals = Vitals(self.angle, 0.0, 16.0, 30.0)
-            order: MotorOrder = firmware.tick(self._ticked, vitals)
+            order: MotorCommand = firmware.tick(self._ticked, vitals)
             if firmware.armed:
                 self.angle = order.values.copy()
         self._report_until(now)
@@ -107,14 +107,14 @@ class ToyRobot:
         pass
 
     def kinds(self) -> list[str]:
-        """Return the names of the received messages, each once in a row, without pings."""
+        """Return the names of received messages, without repetitions and pings."""
         names = [type(message).__name__ for _, message in self.received if type(message).__name__ != "Ping"]
         return [name for k, name in enumerate(names) if k == 0 or names[k - 1] != name]
 
 
 @dataclass
 class MonitorLog(RunMonitor):
-    """A monitor that keeps what it takes."""
+    """A monitor that records its calls."""
 
     phases: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
@@ -152,7 +152,7 @@ def monitor() -> MonitorLog:
 
 @pytest.fixture
 def a_state() -> State:
-    """A state of a robot that stands and follows session 77."""
+    """A state of a standing robot that follows session 77."""
     return State(
         session=77,
         mode=1,

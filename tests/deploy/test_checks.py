@@ -1,4 +1,4 @@
-"""Comparison of a policy with a data sheet and with the robot that answers."""
+"""Compatibility checks of policy, data sheet and handshake."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ HANDSHAKE = Handshake(
     servo_kd=np.full(8, 0.015),
     command_period_min=0.002,
     command_period_max=0.02,
-    # A leg may swing 1 rad at extensions of 0.6 to 2.7.
+    # A leg may swing by 1 rad at extensions of 0.6 to 2.7.
     angle_low=np.full(8, -0.4),
     angle_high=np.full(8, 3.7),
     tilt_limit=1.0,
@@ -64,7 +64,7 @@ def failures(contract: Contract, handshake: Handshake = HANDSHAKE) -> dict[str, 
 
 
 @pytest.mark.parametrize("policy", ["trot", "trot-robust", "gallop", "gallop-robust"])
-def test_a_policy_that_ships_passes_on_its_robot(policy: str):
+def test_released_policies_pass_on_their_robot(policy: str):
     check_policy(contract_of(policy), ROBOT)
     assert failures(contract_of(policy)) == {}
     assert first_failure(check_contract(contract_of(policy), HANDSHAKE, ROBOT)) is None
@@ -76,13 +76,13 @@ def swapped(names: tuple[Any, ...], one: int, other: int) -> tuple[Any, ...]:
     return tuple(names[index] for index in order)
 
 
-# The robot that answers.
+# The handshake of the robot.
 
 
 @pytest.mark.parametrize(
     ("change", "check", "message"),
     [
-        ({"robot": "spot"}, "robot", "it is 'spot', the data sheet is of 'minitaur'"),
+        ({"robot": "spot"}, "robot", "it is 'spot'; the data sheet is for 'minitaur'"),
         (
             {"motor_names": swapped(ROBOT.motor_names, 0, 5)},
             "motors",
@@ -111,21 +111,25 @@ def swapped(names: tuple[Any, ...], one: int, other: int) -> tuple[Any, ...]:
         ),
         ({"servo_kd": np.full(8, 0.014)}, "servo gains", "each must be within 5%"),
         ({"servo_period": 0.002}, "servo period", "2 ms; the data sheet says 1 ms"),
-        ({"command_period_min": 0.007}, "control step", "6 ms; the robot takes commands every 7 to 20 ms"),
-        ({"command_period_max": 0.005}, "control step", "6 ms; the robot takes commands every 2 to 5 ms"),
+        ({"command_period_min": 0.007}, "control step", "6 ms; the robot accepts commands every 7 to 20 ms"),
+        ({"command_period_max": 0.005}, "control step", "6 ms; the robot accepts commands every 2 to 5 ms"),
         ({"servo_period": 0.00105, "command_timeout": 1.0}, "control step", "5.71 servo periods of 1.05 ms"),
         ({"command_timeout": 0.017}, "watchdog", "after 17 ms without a command; it must allow 3 control steps, 18 ms"),
         # The trot swings 0.3 + 0.25 rad and extends to 2.0 + 0.35 + 0.25 rad: 3.15 rad at most, 0.85 at least.
-        ({"angle_high": np.full(8, 3.1)}, "angle limits", "can be sent to 0.850 to 3.150 rad; the robot takes -0.400"),
-        ({"angle_low": np.full(8, 0.9)}, "angle limits", "0.850 to 3.150 rad; the robot takes 0.900 to 3.700"),
+        (
+            {"angle_high": np.full(8, 3.1)},
+            "angle limits",
+            "can be commanded to 0.850 to 3.150 rad; the robot accepts -0.400",
+        ),
+        ({"angle_low": np.full(8, 0.9)}, "angle limits", "0.850 to 3.150 rad; the robot accepts 0.900 to 3.700"),
         (
             {"angle_high": np.array([3.7, 3.7, 3.7, 3.0, 3.7, 3.7, 3.7, 3.7])},
             "angle limits",
-            "back_left_1_motor can be sent to",
+            "back_left_1_motor can be commanded to",
         ),
     ],
 )
-def test_a_robot_that_the_policy_does_not_fit_is_refused(change: dict[str, Any], check: str, message: str):
+def test_a_robot_that_does_not_match_the_policy_is_rejected(change: dict[str, Any], check: str, message: str):
     failed = failures(contract_of(), replace(HANDSHAKE, **change))
     assert list(failed) == [check]
     assert failed[check].passed is False
@@ -133,7 +137,7 @@ def test_a_robot_that_the_policy_does_not_fit_is_refused(change: dict[str, Any],
     assert first_failure(list(failed.values())) == f"{check}: {failed[check].message}; {failed[check].remedy}"
 
 
-def test_a_servo_period_of_zero_is_refused():
+def test_a_servo_period_of_zero_is_rejected():
     assert list(failures(contract_of(), replace(HANDSHAKE, servo_period=0.0))) == ["servo period", "control step"]
 
 
@@ -148,12 +152,12 @@ def test_the_standing_pose_must_be_within_the_robots_limits():
     # Standing at 0.6 rad, below the range of the trot.
     contract = replace(contract_of(), rest=(0.0, 0.6))
     failed = failures(contract, replace(HANDSHAKE, angle_low=np.full(8, 0.8)))
-    assert "can be sent to 0.600 to 3.150 rad" in failed["angle limits"].message
+    assert "can be commanded to 0.600 to 3.150 rad" in failed["angle limits"].message
     assert failed["angle limits"].value == pytest.approx(-0.2)
 
 
 def test_corners_of_leg_space_are_the_extremes_of_motor_angles():
-    """Known answers: the gallop swings -0.5 to 0.5 and extends 1.0708 to 2.0708 rad, without a reference."""
+    """Without a reference, the gallop swings from -0.5 to 0.5 and extends from 1.0708 to 2.0708 rad."""
     result = check_contract(contract_of("gallop"), HANDSHAKE, ROBOT)[-1]
     assert "0.571 to 2.571 rad" in result.message
     poses = [ROBOT.pose_angles(s, e) for s in (-0.5, 0.0, 0.5) for e in (1.0707963, 1.5, 2.0707963)]
@@ -169,7 +173,7 @@ def test_several_failures_are_named_in_one_line():
     assert message.endswith("(also failed: watchdog; surefoot doctor lists every check)")
 
 
-def test_gains_of_each_motor_are_written_as_a_span():
+def test_different_gains_are_written_as_a_range():
     assert format_gains(1.0, 0.015) == "kp 1 and kd 0.015"
     assert format_gains((20.0, 40.0, 30.0), 0.5) == "kp 20 to 40 and kd 0.5"
 
@@ -177,8 +181,8 @@ def test_gains_of_each_motor_are_written_as_a_span():
 # The data sheet.
 
 
-def edited(change: dict[str, Any], policy: str = "trot") -> Contract:
-    """A policy's contract with values replaced at any depth."""
+def shipped_variants(change: dict[str, Any], policy: str = "trot") -> Contract:
+    """Return a policy's contract with values replaced at any depth."""
     data = json.loads(contract_of(policy).to_json())
 
     def merge(table: dict[str, Any], changes: dict[str, Any]) -> None:
@@ -232,8 +236,8 @@ TROT, COLUMNS = contract_of(), contract_of("gallop").columns
         ("go2-steer", {"rest": [0.0, 0.0]}, "rest has 2 numbers; go2 has abduction, swing, extension"),
     ],
 )
-def test_a_policy_that_does_not_fit_the_data_sheet_is_refused(policy: str, change: dict[str, Any], message: str):
-    contract = edited(change, policy)
+def test_a_policy_that_does_not_match_the_data_sheet_is_rejected(policy: str, change: dict[str, Any], message: str):
+    contract = shipped_variants(change, policy)
     robot = RobotDescription.load(contract_of(policy).robot)
     with pytest.raises(SurefootError) as error:
         check_policy(contract, robot)
@@ -242,7 +246,7 @@ def test_a_policy_that_does_not_fit_the_data_sheet_is_refused(policy: str, chang
     assert "\n" not in str(error.value)
 
 
-def test_the_grid_of_a_policys_map_is_that_of_the_robot():
+def test_the_height_map_grid_of_a_policy_must_match_the_robot():
     task = load_task("steer")[0]
     seeing = contract_from_task(replace(task, observations=(*task.observations, "height_scan")), ROBOT)
     check_policy(seeing, ROBOT)
@@ -251,24 +255,24 @@ def test_the_grid_of_a_policys_map_is_that_of_the_robot():
     for change, message in (
         (
             None,
-            "height_map is the grid of height_scan or of footholds; it must be there with one of these, and only then",
+            "height_map is the grid of height_scan and footholds; it must be there with these, and only then",
         ),
-        (replace(grid, ahead=grid.ahead[1:]), "the 18 places ahead of its map are not the 19 of minitaur here"),
+        (replace(grid, ahead=grid.ahead[1:]), "its height map has 18 other points ahead than the 19 of minitaur here"),
         (
             replace(grid, left=tuple(1.1 * place for place in grid.left)),
-            "the 13 places left of its map are not the 13 of minitaur here",
+            "its height map has 13 other points left than the 13 of minitaur here",
         ),
     ):
         with pytest.raises(SurefootError, match=message):
             check_policy(replace(seeing, height_map=change), ROBOT)
-    with pytest.raises(SurefootError, match=r"sees the ground; give --height-map PORT, to which a program sends"):
+    with pytest.raises(SurefootError, match=r"needs a height map; give --height-map PORT, to which a program sends"):
         check_map(seeing, None)
-    with pytest.raises(SurefootError, match="follows no commands; it could not stand while a map is late"):
+    with pytest.raises(SurefootError, match="follows no commands; it cannot stand when a map is late"):
         check_map(replace(seeing, commands=None), 5556)
     check_map(seeing, 5556)
 
 
 def test_the_rate_of_a_policy_may_differ_from_the_data_sheet():
-    contract = edited({"control_step": 0.008})
+    contract = shipped_variants({"control_step": 0.008})
     check_policy(contract, ROBOT)
     assert failures(contract) == {}

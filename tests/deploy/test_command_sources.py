@@ -15,10 +15,10 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
-from scripted import COMMAND_LIMITS as LIMITS
+from scripted_world import COMMAND_LIMITS as LIMITS
 
 from surefoot.deploy.command_sources import (
-    FRESH,
+    MAX_COMMAND_AGE,
     ChannelCommands,
     GamepadCommands,
     KeyboardCommands,
@@ -31,7 +31,7 @@ STAND = [0.0, 0.0, 0.0]
 
 
 def wait_for(source: ChannelCommands | KeyboardCommands, expected: list[float]) -> None:
-    """Wait until a source gives a command: the system may take a moment to deliver."""
+    """Wait until a source returns a command; the system may deliver it with a delay."""
     deadline = time.monotonic() + 30.0
     while (command := source.read(0.0).tolist()) != pytest.approx(expected) and time.monotonic() < deadline:
         time.sleep(0.002)
@@ -40,14 +40,14 @@ def wait_for(source: ChannelCommands | KeyboardCommands, expected: list[float]) 
 
 @pytest.fixture
 def channel() -> Iterator[ChannelCommands]:
-    channel = ChannelCommands(0, clock=lambda: 10.0)  # however long a busy computer takes to deliver
+    channel = ChannelCommands(0, clock=lambda: 10.0)  # independent of delays of a busy computer
     yield channel
     channel.close()
 
 
 @pytest.fixture
 def terminal() -> Iterator[tuple[int, int]]:
-    """The two ends of a pseudo-terminal: what types, and what a program reads."""
+    """The two ends of a pseudo-terminal: the keyboard, and the input of a program."""
     ends = pty.openpty()
     yield ends
     for end in ends:
@@ -60,19 +60,19 @@ def event(value: int, number: int, kind: int = 2) -> bytes:
     return struct.pack("<IhBB", 0, value, kind, number)
 
 
-def test_a_command_of_the_channel_holds_for_a_while_and_then_means_stand() -> None:
+def test_commands_from_the_channel_expire_and_then_the_robot_stands() -> None:
     now = [10.0]
     with contextlib.closing(ChannelCommands(0, clock=lambda: now[0])) as channel:
         assert channel.read(0.0).tolist() == STAND
         send_command(channel.port, forward=0.5, yaw_rate=-0.2)
         wait_for(channel, [0.5, 0.0, -0.2])
-        now[0] += FRESH - 0.01
+        now[0] += MAX_COMMAND_AGE - 0.01
         assert channel.read(0.0).tolist() == [0.5, 0.0, -0.2]
         now[0] += 0.02
         assert channel.read(0.0).tolist() == STAND
 
 
-def test_the_newest_datagram_counts_and_a_flood_takes_no_time(channel: ChannelCommands) -> None:
+def test_the_newest_datagram_is_used_and_a_flood_does_not_block(channel: ChannelCommands) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         for k in range(2000):
             sender.sendto(json.dumps({"forward": k / 1000}).encode(), ("127.0.0.1", channel.port))
@@ -98,10 +98,10 @@ def test_an_invalid_datagram_is_counted_and_ignored(channel: ChannelCommands, da
         sender.sendto(data, ("127.0.0.1", channel.port))
     send_command(channel.port, forward=0.5)
     wait_for(channel, [0.5, 0.0, 0.0])
-    assert channel.refused == 1
+    assert channel.rejected == 1
 
 
-def test_a_second_channel_on_the_same_port_is_refused(channel: ChannelCommands) -> None:
+def test_a_second_channel_on_the_same_port_is_rejected(channel: ChannelCommands) -> None:
     with pytest.raises(SurefootError, match=rf"port {channel.port} can't be listened on: Address already in use"):
         ChannelCommands(channel.port)
 
@@ -111,15 +111,15 @@ def test_keys_change_a_command_by_a_tenth_of_its_range(terminal: tuple[int, int]
     keyboard = KeyboardCommands(LIMITS, reading)
     for keys, expected in (
         (b"wwQ", [0.4, 0.0, 0.1]),
-        (b"ssssss", [-0.2, 0.0, 0.1]),  # down by a tenth of 1 m/s each
+        (b"ssssss", [-0.2, 0.0, 0.1]),  # each decreases the speed by a tenth of 1 m/s
         (b"w" * 40, [2.0, 0.0, 0.1]),
         (b" ", STAND),
-        # Up, left with shift, F1, then w: three keys that end in letters with another meaning.
+        # Up, left with shift, F1, then w: the sequences of three keys end in letters with another meaning.
         (b"\x1b[A\x1b[1;2D\x1bOSw", [0.2, 0.0, 0.0]),
     ):
         os.write(typing, keys)
         wait_for(keyboard, expected)
-    os.close(typing)  # a terminal that closes means stand
+    os.close(typing)  # the robot stands when the terminal closes
     wait_for(keyboard, STAND)
 
 
@@ -128,7 +128,7 @@ def test_a_keyboard_needs_a_terminal(tmp_path: Path) -> None:
         KeyboardCommands(LIMITS, file.fileno())
 
 
-def test_sticks_give_shares_of_the_range_and_a_lost_gamepad_means_stand(tmp_path: Path) -> None:
+def test_sticks_give_fractions_of_the_range_and_a_lost_gamepad_means_stand(tmp_path: Path) -> None:
     device = tmp_path / "js0"
     os.mkfifo(device)
     reading = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
@@ -136,16 +136,16 @@ def test_sticks_give_shares_of_the_range_and_a_lost_gamepad_means_stand(tmp_path
     gamepad = GamepadCommands(LIMITS, device)
     os.close(reading)
     os.write(writing, event(-32767, 1, 0x82) + event(16384, 0) + event(2000, 3) + event(1, 0, 1))
-    # Forward in full, right by half, the other stick within its dead zone.
+    # Full deflection forward, half to the right, the other stick within its dead zone.
     assert gamepad.read(0.0) == pytest.approx([2.0, -0.25, 0.0], abs=1e-4)
     os.write(writing, event(32767, 1)[:5])
-    assert gamepad.read(0.0)[0] == 2.0  # half an event waits for its rest
+    assert gamepad.read(0.0)[0] == 2.0  # an incomplete event waits for its second half
     os.close(writing)
     assert gamepad.read(0.0).tolist() == STAND
     gamepad.close()
 
 
-def test_a_gamepad_that_is_pulled_out_means_stand(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_robot_stands_when_the_gamepad_is_disconnected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     device = tmp_path / "js0"
     device.write_bytes(event(-32767, 1))
     gamepad = GamepadCommands(LIMITS, device)
@@ -164,7 +164,7 @@ def test_a_gamepad_that_is_pulled_out_means_stand(tmp_path: Path, monkeypatch: p
         (lambda: GamepadCommands(LIMITS, Path("none")), r"gamepad none: No such file or directory; is one connected"),
     ],
 )
-def test_a_source_that_does_not_exist_is_refused(open_source: Callable[[], object], message: str) -> None:
+def test_an_unknown_source_is_rejected(open_source: Callable[[], object], message: str) -> None:
     with pytest.raises(SurefootError, match=message):
         open_source()
 

@@ -1,4 +1,4 @@
-"""The policy's arithmetic on a robot is that of training: same observations, same feedback, same targets."""
+"""The controller on a robot computes the same observations, feedback and targets as in training."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from surefoot.robot import RobotDescription
 ROOT = Path(__file__).resolve().parents[2]
 POLICIES = sorted((ROOT / "policies").glob("*.onnx"))
 GROUNDS = {"go2-terrain-seeing": "gaps:0.15", "go2-terrain": "stairs:0.1"}
-"""Ground of policies whose reference feels or sees it."""
+"""Terrain of policies whose reference gait reacts to it."""
 
 
 class Echo:
-    """A policy that keeps its inputs and returns a constant feedback."""
+    """A policy that records its inputs and returns constant feedback."""
 
     def __init__(self, contract, feedback=0.0):
         self.contract = contract
@@ -40,7 +40,7 @@ def contract():
 
 @pytest.mark.parametrize("path", POLICIES, ids=lambda path: path.stem)
 def test_a_simulated_episode_gets_the_same_targets(path, a_state):
-    """Readings of a simulated episode, given to the robot's side step by step."""
+    """Pass readings of a simulated episode to the controller, step by step."""
     pytest.importorskip("mujoco")
     pytest.importorskip("gymnasium")
     from surefoot.task.contract_mapping import task_from_contract
@@ -56,7 +56,7 @@ def test_a_simulated_episode_gets_the_same_targets(path, a_state):
     controller = Controller(policy, RobotDescription.load(policy.contract.robot))
     observation, _ = env.reset()
     adapted = False
-    for k in range(200 if path.stem in GROUNDS else 50):  # the first edge is a metre away
+    for k in range(200 if path.stem in GROUNDS else 50):  # the first step of the terrain is a metre away
         readings = env.state.readings
         state = replace(
             a_state,
@@ -120,6 +120,6 @@ def test_feedback_that_is_not_finite_is_named(contract, robot, a_state):
         controller.compute_target(0.0, controller.observe(0.0, a_state))
 
 
-def test_a_gait_beyond_the_legs_is_refused(contract, robot):
+def test_a_gait_beyond_the_limits_of_the_legs_is_rejected(contract, robot):
     with pytest.raises(SurefootError, match="a leg of minitaur allows"):
         Controller(Echo(replace(contract, high=(0.9,) * 8)), robot)

@@ -1,4 +1,4 @@
-"""Checks before a robot is armed, on a computer whose stalls the tests decide."""
+"""Checks before a robot is armed, on a simulated computer that stalls."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.controller import Controller
-from surefoot.deploy.deployment import PUNCTUAL, TRIES, Deployment
+from surefoot.deploy.deployment import TIMING_ATTEMPTS, TIMING_STEPS, Deployment
 from surefoot.deploy.messages import Arm, Ping, Position
 from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.serial.serial_link import LEAD
@@ -23,7 +23,7 @@ STEP = 0.006
 
 
 class Computer:
-    """A computer's own clock, which may wake late; the robot does not wait for it."""
+    """Clock of a computer that may wake up late; the robot does not wait for it."""
 
     def __init__(self, lockstep: LockstepClock) -> None:
         self._clock = lockstep
@@ -37,7 +37,7 @@ class Computer:
 
 
 class Operator:
-    """Somebody at the keyboard."""
+    """An operator who may ask to stop."""
 
     stops = 0
 
@@ -67,21 +67,21 @@ def connect(deployment: Deployment) -> None:
     deployment.connect(lambda handshake: None)
 
 
-def test_a_punctual_computer_checks_its_timing_once_and_commands_nothing(deployment, toy, monitor):
+def test_a_fast_computer_checks_its_timing_once_without_commands(deployment, toy, monitor):
     connect(deployment)
     assert monitor.phases == ["connect", "check timing"]
     kinds = {type(message) for _, message in toy.received}
     assert Ping in kinds
     assert not kinds & {Arm, Position}
     spent = toy.received[-1][0]
-    assert PUNCTUAL * STEP < spent < (PUNCTUAL + 40) * STEP
+    assert TIMING_STEPS * STEP < spent < (TIMING_STEPS + 40) * STEP
 
 
-def test_a_computer_that_is_slow_at_first_passes(deployment, computer, monitor):
+def test_a_computer_that_is_slow_only_at_first_passes(deployment, computer, monitor):
     begun: list[float] = []
 
     def late(moment: float) -> float:
-        # Three stalls of five control steps, each once the loop is under way, and then none.
+        # Three stalls of five control steps, each after the start of the loop, and then none.
         if "check timing" in monitor.phases and len(begun) < 3 and (not begun or moment > begun[-1] + 0.1):
             begun.append(moment)
             return 5 * STEP
@@ -93,7 +93,7 @@ def test_a_computer_that_is_slow_at_first_passes(deployment, computer, monitor):
     assert monitor.phases.count("check timing") == 4
 
 
-def test_a_computer_that_keeps_stalling_arms_no_robot(deployment, computer, toy, monitor):
+def test_a_computer_that_keeps_stalling_cannot_arm_the_robot(deployment, computer, toy, monitor):
     last = [0.0]
 
     def late(moment: float) -> float:
@@ -103,24 +103,27 @@ def test_a_computer_that_keeps_stalling_arms_no_robot(deployment, computer, toy,
         return 0.0
 
     computer.late = late
-    with pytest.raises(SurefootError, match=r"not armed: \d+ control steps in a row were missed; at most 2"):
+    with pytest.raises(SurefootError, match=r"not armed: \d+ consecutive control steps were missed; at most 2"):
         connect(deployment)
-    assert monitor.phases.count("check timing") == TRIES
+    assert monitor.phases.count("check timing") == TIMING_ATTEMPTS
     assert Arm not in {type(message) for _, message in toy.received}
 
 
 @pytest.mark.parametrize(
     ("name", "value", "text"),
-    [("voltage", 13.5, "the battery has 13.5 V, below 14 V"), ("temperature", 85.0, "a motor has 85 degC; at most 80")],
+    [
+        ("voltage", 13.5, "the battery voltage is 13.5 V, below 14 V"),
+        ("temperature", 85.0, "a motor is at 85 degC; at most 80"),
+    ],
 )
-def test_a_low_battery_or_a_hot_motor_at_the_start_is_refused(deployment, toy, name, value, text):
+def test_a_low_battery_or_a_hot_motor_prevents_arming(deployment, toy, name, value, text):
     reading = np.full(8, value) if name == "temperature" else value
     toy.sensors = lambda time, readings: replace(readings, **{name: reading})
     with pytest.raises(SurefootError, match=f"the robot is not armed: {text}"):
         connect(deployment)
 
 
-def test_a_stop_while_timing_is_checked_is_no_error(deployment, toy):
+def test_a_stop_during_the_timing_check_is_not_an_error(deployment, toy):
     deployment.operator.stops = 1
     connect(deployment)
     assert Arm not in {type(message) for _, message in toy.received}

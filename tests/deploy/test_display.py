@@ -1,4 +1,4 @@
-"""The live display: what it shows, and that it never makes the control loop wait."""
+"""The live display: its content, and that it never delays the control loop."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from surefoot.deploy.display import LiveDisplay, PlainLines, StatusPanel, show
+from surefoot.deploy.display import LiveDisplay, PlainLines, StatusPanel, draw_messages
 from surefoot.deploy.loop import Snapshot
 
 
@@ -33,12 +33,14 @@ def snapshot(a_state) -> Snapshot:
     )
 
 
-def test_the_panel_shows_what_the_messages_hold():
+def test_the_panel_shows_the_contents_of_messages():
     panel = StatusPanel()
     assert dict(panel.rows())["loop"] == dict(panel.rows())["lateness"] == "-"
     panel.update({"title": "trot on minitaur", "recording": "recording to run_000.npz"})
     panel.update({"phase": "run", "left": 2.0, "rate": 166.7, "lateness": [0.01] * 98 + [1.0, 3.0], "inference": 0.09})
     panel.update({"missed": 1, "dropped": 2, "state_age": 1.2, "voltage": 15.7, "temperature": 31.0})
+    assert dict(panel.rows())["estimated speed"] == "-"
+    panel.update({"speed": [0.42, -0.03, 3.24]})
     panel.update({"roll": -0.02, "pitch": 0.11, "warning": "battery below 14.4 V"})
     rows = dict(panel.rows())
     assert rows["phase"] == "run, 2.0 s left"
@@ -48,6 +50,7 @@ def test_the_panel_shows_what_the_messages_hold():
     assert rows["battery"] == "15.7 V"
     assert rows["hottest motor"] == "31 degC"
     assert rows["roll, pitch"] == "-0.02, +0.11 rad"
+    assert rows["estimated speed"] == "0.42 forward, -0.03 left m/s, 3.2 m"
     assert rows["recording"] == "to run_000.npz"
     assert panel.warnings == ["battery below 14.4 V"]
 
@@ -61,7 +64,7 @@ def test_lines_are_drawn_and_other_lines_skipped():
         '{"phase": "stand up", "left": 1.5}',
         '{"warning": "hot"}',
     )
-    show(lines, stream)
+    draw_messages(lines, stream)
     for text in ("trot on minitaur", "stand up, 1.5 s left", "! hot"):
         assert text in stream.getvalue()
 
@@ -76,7 +79,7 @@ def test_messages_reach_the_displays_process(snapshot, monkeypatch):
     message = json.loads(sent[0])
     assert message["lateness"] == [0.01, 0.02, 1.5]
     assert message["inference"] == 0.095
-    # A hundred steps fit into one message: more than 4096 bytes a pipe may take in part.
+    # A hundred steps fit into one message of 4096 bytes, which a pipe accepts as a whole.
     display.tick(replace(snapshot, lateness=(1.234567,) * 100))
     assert len(json.loads(sent[1])["lateness"]) == 100
     assert all(len(data) <= 4096 for data in sent)

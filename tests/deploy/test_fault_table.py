@@ -1,12 +1,11 @@
-"""Every row of the safety table, on the emulator and `surefoot deploy`, over pseudo-terminals.
+"""Every row of the safety table, with the emulator and `surefoot deploy` over pseudo-terminals.
 
-Between the two lies a cable of the test's own: it hears what both say, and knows when something is to happen. Where
-timing allows the robot runs in lockstep, in this process: then all times are exact, whatever else the computer does.
-Where time is the point both are processes that run in real time, and a test that fails while the computer is busy is
-tried again.
+A cable between the two records the packets of both, and triggers events. If possible the robot runs in lockstep in
+this process, so that all times are exact on a busy computer. In tests of real time, both are processes, and a test that
+fails on a busy computer is repeated.
 
-Times are those of the robot's clock or of the host's, as they stand in the frames. Rows are those of
-`docs/safety.md`: ways to stop, and faults of the serial link; their numbers are of these tests alone.
+Times are on the robot's or the host's clock, as in the frames. Rows are rows of `docs/safety.md` (ways to stop, faults
+of the serial link); only these tests number them.
 """
 
 from __future__ import annotations
@@ -25,8 +24,8 @@ from typing import Any
 import numpy as np
 import pytest
 from compiled_firmware import compiled, needs_gcc
-from edited import edited_policy
 from processes import Emulator, EmulatorHere, emulators
+from shipped_variants import modified_policy
 
 from surefoot.deploy.messages import Arm, Bye, Damp, Disarm, Fault, Hello, Mode, Position, Reason, State
 from surefoot.deploy.poses import sitting_pose
@@ -56,23 +55,23 @@ from fault_bench import (
 pytestmark = pytest.mark.timeout(900)
 MINITAUR = RobotDescription.load("minitaur")
 DAMPED_WITHIN = 0.100
-"""What the table allows between a host's last command and damped motors [s]."""
+"""Maximum time from a host's last command to damped motors, from the table [s]."""
 LEAN = 0.03
-"""Roll or pitch [rad] that counts as a fall for one of the policies; the trot leans further in every stride."""
+"""Roll or pitch that counts as a fall for one of the policies [rad]; the trot tilts further in every stride."""
 AT_EASE = Mode.DISARMED, Reason.NONE
 
 
 def target(extension: float) -> np.ndarray:
-    """Motor angles of legs that are so long."""
+    """Motor angles of legs with this extension."""
     return MINITAUR.pose_angles(0.0, extension)
 
 
-# Clients of the test's own.
+# Clients of the test itself.
 
 
 @pytest.fixture(scope="module")
 def operators() -> Iterator[Callable[[], Client]]:
-    """A robot in lockstep, and operators for it, one after another; it follows the commands of each."""
+    """A robot in lockstep, and a factory of operators, one after another, whose commands it follows."""
     robot, sessions = EmulatorHere("--lockstep", "--rack"), itertools.count(700)
 
     def make() -> Client:
@@ -103,7 +102,7 @@ def client(operators: Callable[[], Client]) -> Iterator[Client]:
 
 @pytest.fixture(scope="module")
 def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Trots that break when the body pitches faster than .5 rad/s, and one for which a slight lean is a fall."""
+    """Trots that fail when the body pitches faster than 0.5 rad/s, and one for which a small tilt is a fall."""
     from onnx import helper, numpy_helper
 
     folder = tmp_path_factory.mktemp("policies")
@@ -122,21 +121,21 @@ def policies(tmp_path_factory: pytest.TempPathFactory) -> Path:
             for kind, inputs, output in (("Relu", "left", "left_only"), *added, ("Add", "plain extra", "feedback")):
                 graph.node.append(helper.make_node(kind, inputs.split(), [output]))
 
-        edited_policy(folder / f"{name}.onnx", policy="trot", graph=extend)
-    edited_policy(folder / "leaning.onnx", lambda contract: contract["task"].update(fall_angle=LEAN), "trot")
+        modified_policy(folder / f"{name}.onnx", policy="trot", graph=extend)
+    modified_policy(folder / "leaning.onnx", lambda contract: contract["task"].update(fall_angle=LEAN), "trot")
     return folder
 
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory, policies: Path) -> Callable[[str], DeployResult]:
-    """Give what came of a scenario, by its name; each is played once."""
+    """Return the result of a scenario by its name; each is run once."""
     folder = tmp_path_factory.mktemp("lockstep")
     return functools.cache(lambda name: play(SCENARIOS[name], folder / name, policies))
 
 
 @pytest.fixture
 def ended(scenario: str, played: Callable[[str], DeployResult]) -> DeployResult:
-    """What came of the test's scenario."""
+    """Result of the test's scenario."""
     return played(scenario)
 
 
@@ -157,10 +156,10 @@ def robot_process() -> Iterator[Emulator]:
 
 @pytest.fixture
 def living_robot(robot_process: Emulator) -> Iterator[Emulator]:
-    """A robot in real time, without faults, that several hosts lose; it stands still while no test uses it."""
+    """A robot in real time without faults, whose hosts fail one after another; it is stopped while no test uses it."""
     robot_process.process.send_signal(signal.SIGCONT)
     yield robot_process
-    time.sleep(1.1)  # its operator must be silent for a second before there is another one
+    time.sleep(1.1)  # its operator must be silent for a second before another one can connect
     robot_process.process.send_signal(signal.SIGSTOP)
 
 
@@ -186,11 +185,11 @@ def wait_for(event: threading.Event, host: Host) -> None:
 
 
 def damped_after(record: Record) -> float:
-    """How long after the last command that it took a robot damped its motors by itself [s], on its own clock."""
+    """Time from the last accepted command to damped motors, on the robot's clock [s]."""
     faults = [frame for frame in record.robot_packets(Fault) if frame.message.reason == Reason.TIMEOUT]
     assert faults, "the robot never missed its host"
     since = record.robot_packets(State, faults[-1].time)
-    # It stays so.
+    # It stays damped.
     assert {(state.message.mode, state.message.reason) for state in since} == {(Mode.FAULT, Reason.TIMEOUT)}
     assert since[-1].time - since[0].time > 0.15
     assert np.abs(since[-1].message.motor_velocity).max() < 2.0
@@ -200,14 +199,14 @@ def damped_after(record: Record) -> float:
 
 
 def assert_damped_at_once(record: Record) -> float:
-    """The host damped, and commanded nothing since; when [s], on its clock."""
+    """Check that the host damped and sent no later command; return the time on its clock [s]."""
     damped = record.host_packets(Damp)[0].time
     assert record.host_packets(Position, damped) == []
     return float(damped)
 
 
 def assert_sat_and_disarmed(record: Record) -> None:
-    """The last command was to sit, then the robot was disarmed."""
+    """Check that the last command was the sitting pose, and that the robot was disarmed then."""
     last = record.host_packets(Position)[-1]
     np.testing.assert_allclose(last.message.target, sitting_pose(MINITAUR), atol=1e-6)
     assert record.host_packets(Disarm)[0].time >= last.time
@@ -231,21 +230,21 @@ def test_row_1_a_host_that_hangs_and_one_that_is_killed(living_robot, tmp_path):
             count = len(cable.record.from_robot)
             host.popen.send_signal(signal.SIGCONT)
             assert host.end().code == 3
-            # Nothing that a host says when it wakes moves the robot.
+            # No message of a host that wakes up moves the robot.
             woken = [frame.message for frame in cable.record.from_robot[count:] if isinstance(frame.message, State)]
             assert {state.mode for state in woken} <= {Mode.FAULT, Mode.DISARMED}
 
 
 @pytest.mark.realtime
-def test_row_1_a_cable_that_is_pulled_while_both_go_on(living_robot, tmp_path):
+def test_row_1_a_pulled_cable_while_both_ends_continue(living_robot, tmp_path):
     with deployed(living_robot, tmp_path) as (cable, host):
         wait_for(cable.moment(RUNNING), host)
         cable.pull()
         ended = host.end()
         assert ended.outcome == (3, "fault", "stale state")
         assert ended.saved_trace.num_steps > 20
-        assert_damped_at_once(cable.record)  # which the robot does not hear
-        time.sleep(0.5)  # it sinks
+        assert_damped_at_once(cable.record)  # the robot does not receive it
+        time.sleep(0.5)  # the robot sinks
         assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
 
 
@@ -300,7 +299,7 @@ def test_row_2_a_robot_that_stalls(living_robot, tmp_path):
         assert ended.outcome == (3, "fault", "stale state")
         assert ended.saved_trace.num_steps > 20
         assert_damped_at_once(cable.record)
-        # When it wakes, it finds the order to damp before anything else.
+        # When it wakes up, it first receives the request to damp.
         count = len(cable.record.from_robot)
         living_robot.process.send_signal(signal.SIGCONT)
         time.sleep(0.3)
@@ -309,7 +308,7 @@ def test_row_2_a_robot_that_stalls(living_robot, tmp_path):
         assert woken
 
 
-# 3: numbers that are none, exceptions, a contract that does not fit.
+# 3: values that are not finite, exceptions, a contract that does not match.
 
 
 @pytest.mark.parametrize(
@@ -339,7 +338,7 @@ def test_row_3_a_policy_that_breaks(ended, reason, text):
 @pytest.mark.parametrize(
     ("scenario", "text"),
     [
-        ("other-robot", "it is 'not-minitaur', the data sheet is of 'minitaur'"),
+        ("other-robot", "it is 'not-minitaur'; the data sheet is for 'minitaur'"),
         ("other-order", "names and order must be the same"),
         ("other-gains", "the robot's servos have kp 1.5"),
         ("other-schema", "the robot has version 1 and schema"),
@@ -354,7 +353,7 @@ def test_row_3_a_robot_that_does_not_fit(ended, text):
 
 
 @scenarios("reboot")
-def test_row_3_a_robot_that_starts_anew(ended):
+def test_row_3_a_robot_that_restarts(ended):
     assert ended.outcome == (3, "fault", "link")
     assert ended.saved_trace.num_steps > 20
     assert_damped_at_once(ended.record)
@@ -407,10 +406,10 @@ def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(living_robot, t
         ended = host.end()
         # Two steps of 6 ms pass in every short stop, so that at least one is missed, and five in the long one.
         assert ended.outcome == (3, "fault", "late")
-        assert "control steps in a row were missed; at most 2" in ended.run["what"]
+        assert "consecutive control steps were missed; at most 2" in ended.run["what"]
         print(f"{ended.run['timing']['missed']} missed; {ended.run['what']}")
         assert ended.run["timing"]["missed"] >= 4 + 3
-        # It held its target then, and went on.
+        # It held its target meanwhile, and continued.
         trace = ended.saved_trace
         held = [k for k in trace.meta["missed_steps"] if k < trace.num_steps - 20]
         assert len(held) >= 4
@@ -422,7 +421,7 @@ def test_row_5_late_steps_are_held_and_counted_and_too_many_damp(living_robot, t
 
 
 def stop_for(host: Host, seconds: float) -> None:
-    """Let a host stand still for a while."""
+    """Stop a host for a while."""
     before = time.monotonic()
     host.popen.send_signal(signal.SIGSTOP)
     time.sleep(seconds)
@@ -445,7 +444,7 @@ def test_row_6_battery_low_or_motor_hot(ended, reason, warning, worse):
     assert ended.outcome == (3, "stopped", reason)
     assert ended.messages.count(f"surefoot: warning: {warning}") == 1
     assert ended.saved_trace.num_steps > 50
-    # 16 V fall by 2 V a second, 25 degC grow by 40 a second; a battery sags a little besides.
+    # 16 V fall by 2 V per second, 25 degC rise by 40 per second; in addition, the battery sags a little.
     began = ended.record.armed + ended.record.clock_offset + QUICK_UP - 0.5
     half = next(frame.time for frame in ended.record.robot_packets(State) if worse(frame.message)) - began
     assert 0.25 < half < 0.55
@@ -457,10 +456,10 @@ def test_row_6_battery_low_or_motor_hot(ended, reason, warning, worse):
 
 
 @scenarios("second")
-def test_row_7_a_second_program_is_refused_at_the_port(ended):
+def test_row_7_a_second_program_is_rejected_at_the_port(ended):
     assert ended.refusal.startswith("port /dev/")
-    assert ended.refusal.endswith(": another program has it; one operator at a time")
-    # The first one's run is whole: no frame was lost, and only one operator was ever heard.
+    assert ended.refusal.endswith(": another program uses it; only one operator at a time")
+    # The first run is complete: no frame was lost, and the robot followed only one operator.
     assert ended.outcome == (0, "stopped", "operator")
     assert {**ended.output["frames"], "received": 0} == dict.fromkeys(ended.output["frames"], 0)
     assert ended.saved_trace.num_steps > 20
@@ -468,7 +467,7 @@ def test_row_7_a_second_program_is_refused_at_the_port(ended):
 
 
 @scenarios("stranger")
-def test_row_7_a_second_operator_on_the_line_is_refused_by_the_robot(ended, played):
+def test_row_7_a_second_operator_on_the_line_is_rejected_by_the_robot(ended, played):
     assert ended.outcome == (0, "time", "time")
     faults = [frame.message for frame in ended.record.robot_packets(Fault)]
     assert {message.session for message in faults} == {OTHER_SESSION}
@@ -477,7 +476,7 @@ def test_row_7_a_second_operator_on_the_line_is_refused_by_the_robot(ended, play
 
 
 def assert_same_run(one: DeployResult, other: DeployResult) -> None:
-    """Two runs are the same to the last bit."""
+    """Check that two runs are identical."""
     for name in ("observation", "feedback", "target", "motor_angle", "motor_torque", "energy", "time"):
         assert getattr(one.saved_trace, name).tolist() == getattr(other.saved_trace, name).tolist(), name
 
@@ -501,11 +500,11 @@ def test_row_8_a_bad_line_loses_only_damaged_frames(ended, scenario, played):
     assert ended.saved_trace.num_steps == 50
     assert_sat_and_disarmed(ended.record)
     frames, packets = ended.output["frames"], ended.record.from_robot
-    # Every frame that the robot sent was taken once, or counted as missing.
+    # Every frame of the robot was received once, or counted as missing.
     assert frames["received"] == len(packets)
     counted = frames["received"] - frames["repeated"] + frames["missing"]
     sent = max(frame.sequence for frame in packets)
-    assert sent - 3 <= counted <= sent  # what was lost before the handshake is not known
+    assert sent - 3 <= counted <= sent  # losses before the handshake are not counted
     if scenario in ("corrupt", "cut-frames"):
         assert frames["missing"] > 10
         assert frames["damaged"] == pytest.approx(frames["missing"], rel=0.3)
@@ -513,7 +512,7 @@ def test_row_8_a_bad_line_loses_only_damaged_frames(ended, scenario, played):
         assert frames["missing"] > 10
         assert frames["damaged"] == frames["repeated"] == 0
     elif scenario == "reorder":
-        # The one that was overtaken is dropped.
+        # The overtaken frame is dropped.
         assert frames["missing"] == frames["repeated"] > 10
         assert frames["damaged"] == 0
     else:
@@ -522,7 +521,7 @@ def test_row_8_a_bad_line_loses_only_damaged_frames(ended, scenario, played):
         assert_same_run(ended, played("whole"))
     if scenario == "garbage":
         assert f"frames received {len(ended.record.from_host)}, " in ended.summary
-    # What the robot followed was always a command of this run, and never an older one than before.
+    # The robot followed only commands of this run, and never an older one after a newer one.
     packets.sort(key=lambda frame: frame.sequence)
     followed = [frame.message.command for frame in ended.record.robot_packets(State) if frame.message.command]
     assert set(followed) <= {frame.sequence for frame in ended.record.host_packets(Position)}
@@ -530,9 +529,9 @@ def test_row_8_a_bad_line_loses_only_damaged_frames(ended, scenario, played):
 
 
 @scenarios("in the middle")
-def test_row_8_a_host_that_comes_in_the_middle_of_a_frame(ended, played):
+def test_row_8_a_host_that_connects_in_the_middle_of_a_frame(ended, played):
     assert ended.outcome == (0, "time", "time")
-    # It heard the end of a frame, whole ones that were for somebody else and had higher numbers, and a beginning.
+    # It received the end of a frame, complete frames for another operator with higher numbers, and the start of one.
     assert ended.output["frames"]["damaged"] == 2
     assert ended.output["frames"]["received"] == 28 + len(ended.record.from_robot)
     assert_same_run(ended, played("whole"))
@@ -554,7 +553,7 @@ def test_row_9_a_signal_or_a_terminal_that_closes(ended, scenario):
 
 
 @scenarios("SIGINT while it arms", "SIGTERM while it lies", "SIGHUP while it lies")
-def test_row_9_a_robot_that_still_lies_is_let_go(ended):
+def test_row_9_a_lying_robot_is_disarmed(ended):
     assert ended.outcome == (0, "stopped", "operator")
     assert ended.run["what"] == "stopped by the operator"
     assert ended.messages[-2:] == ["surefoot: lay legs flat (1.0 s)", "surefoot: disarm"]
@@ -578,9 +577,9 @@ def test_row_9_ctrl_c_twice(ended):
 @scenarios("disk full")
 def test_row_10_a_full_disk(ended):
     assert (ended.run["ended"], ended.run["steps"], ended.run["trace"]) == ("time", 100, None)
-    assert "surefoot: recording stopped: File too large; the robot goes on" in ended.messages
+    assert "surefoot: recording stopped: File too large; the robot continues" in ended.messages
     assert any(note.startswith("recording stopped") for note in ended.run["notes"])
-    # The robot went on to the end; only the exit code reports the lost trace.
+    # The robot continued to the end; only the exit code reports the lost trace.
     assert_sat_and_disarmed(ended.record)
     assert ended.record.host_packets(Damp) == []
     assert ended.code == 3
@@ -592,7 +591,7 @@ def test_row_10_a_full_disk(ended):
 
 
 @needs_gcc
-def test_the_firmware_in_c_ends_a_run_as_the_program_in_python_does(played, policies, tmp_path):
+def test_the_firmware_in_c_ends_a_run_like_the_program_in_python(played, policies, tmp_path):
     options = ("--firmware", str(compiled(MINITAUR)))
     one, other = played("tilt"), play(SCENARIOS["tilt"], tmp_path / "run", policies, options)
     assert other.outcome == one.outcome

@@ -1,4 +1,4 @@
-"""Runs of a policy on a toy robot in lockstep: a whole run, and every way in which a run ends early."""
+"""Runs of a policy on a toy robot in lockstep: a complete run, and all causes that end a run early."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from unittest import mock
 import numpy as np
 import pytest
 from fault_bench import QUICK
-from fault_bench import QUICK_UP as UP
+from fault_bench import QUICK_UP as STARTUP_TIME
 
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
 from surefoot.deploy.messages import Arm, Damp, Mode, Pong, Position, Reason
-from surefoot.deploy.motion_runner import REST
+from surefoot.deploy.motion_runner import SITTING_TIME
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.poses import sitting_pose
 from surefoot.deploy.run_saver import RunSaver
@@ -25,7 +25,7 @@ from surefoot.policy.runtime import PolicyRuntime
 TROT = Path(__file__).resolve().parents[2] / "policies" / "trot.onnx"
 STEP = 0.006
 STEPS = 60
-SEATED = QUICK["FLAT"] + QUICK["FOLD"] + QUICK["PAUSE"]
+SEATED = QUICK["LAY_FLAT_TIME"] + QUICK["FOLD_TIME"] + QUICK["PAUSE_TIME"]
 
 
 @pytest.fixture(autouse=True)
@@ -35,7 +35,7 @@ def quick():
 
 
 class Stop:
-    """An operator who asks to stop at a time of the robot's, and again at another."""
+    """An operator who asks to stop at two times of the robot's clock."""
 
     def __init__(self, toy):
         self.toy, self.at, self.again = toy, np.inf, np.inf
@@ -46,7 +46,7 @@ class Stop:
 
 
 class Spoiled:
-    """A policy that calls something else from its n-th inference on; 20 come before the robot is armed."""
+    """A policy that calls another function from its n-th inference on; 20 inferences precede arming."""
 
     def __init__(self, policy, at, call):
         self.contract, self._policy, self._at, self._call, self._count = policy.contract, policy, at, call, 0
@@ -95,8 +95,8 @@ def end_of(outcome):
     return outcome.ended, outcome.reason, outcome.safe
 
 
-def once(toy, act, seconds=UP + 0.2):
-    """Do something once, when the robot has been armed for so long."""
+def once(toy, act, seconds=STARTUP_TIME + 0.2):
+    """Call a function once, at a time after arming."""
     when = []
 
     def sensors(time, readings):
@@ -112,8 +112,9 @@ def once(toy, act, seconds=UP + 0.2):
 
 
 def at_step(k, change, toy):
-    """Change readings from about the policy's control step k on; each phase takes a step more than its time."""
-    once(toy, lambda: setattr(toy, "sensors", lambda time, readings: replace(readings, **change)), UP + k * STEP)
+    """Change readings from about control step k of the policy on; each phase has one additional step."""
+    when = STARTUP_TIME + k * STEP
+    once(toy, lambda: setattr(toy, "sensors", lambda time, readings: replace(readings, **change)), when)
 
 
 def tilt(roll=0.0, pitch=0.0):
@@ -146,18 +147,18 @@ def test_motors_move_smoothly_from_where_they_are_until_the_robot_sits(deploy, t
     assert targets[0] == pytest.approx(start, abs=1e-3)
     assert targets[-1] == pytest.approx(sitting_pose(robot), abs=1e-6)
     speed = np.abs(np.diff(targets, axis=0)) / STEP
-    up = round(UP / STEP)
+    up = round(STARTUP_TIME / STEP)
     assert targets[up - 10] == pytest.approx(robot.pose_angles(*policy.contract.rest), abs=1e-6)
     assert speed[: up - 1].max() < 4.0
-    assert speed[-round(REST / STEP) :].max() < 1e-6
+    assert speed[-round(SITTING_TIME / STEP) :].max() < 1e-6
 
 
-def test_rows_that_make_no_trace_are_a_note_and_lost(deploy, monkeypatch):
+def test_rows_without_a_valid_trace_are_lost_with_a_note(deploy, monkeypatch):
     monkeypatch.setattr(
-        "surefoot.task.partial_trace.TraceHead.trace", mock.Mock(side_effect=SurefootError("time repeats"))
+        "surefoot.task.partial_trace.TraceHeader.trace", mock.Mock(side_effect=SurefootError("time repeats"))
     )
     _, saved, _ = deploy()
-    assert (saved.trace, saved.lost, saved.notes) == (None, True, ["the rows make no trace: time repeats"])
+    assert (saved.trace, saved.lost, saved.notes) == (None, True, ["no trace can be made of the rows: time repeats"])
 
 
 def test_rows_have_the_commands_and_the_states_at_their_end(deploy, toy, policy):
@@ -195,7 +196,7 @@ def test_readings_beyond_a_limit_end_a_run(change, ended, reason, deploy, toy):
     assert bool(sent(toy, Damp)) == (ended in ("fault", "fall"))
 
 
-def test_a_fall_is_damped_at_once_and_the_robot_sits_when_it_is_still(deploy, toy, monitor):
+def test_a_fall_damps_at_once_and_the_robot_sits_once_it_lies_still(deploy, toy, monitor):
     at_step(20, tilt(0.6), toy)
     outcome, saved, _ = deploy(steps=300)
     assert outcome.text.endswith("it has sat down")
@@ -230,13 +231,13 @@ def test_a_robot_on_its_side_or_in_motion_stays_damped(change, text, deploy, toy
         (lambda: np.full((1, 3), 0.1), "exception", "Error"),
     ],
 )
-def test_a_policy_that_fails_is_damped_in_the_same_step(call, reason, text, deploy, toy, policy):
+def test_a_failing_policy_damps_the_robot_in_the_same_step(call, reason, text, deploy, toy, policy):
     outcome, saved, _ = deploy(Spoiled(policy, 25, call))
     assert end_of(outcome) == ("fault", reason, True)
     assert text in outcome.text
     assert toy.firmware.reason == Reason.HOST
     assert saved.trace.num_steps == 25
-    # The step that failed is the 26th; its time is that of the damping.
+    # The step that failed is the 26th; the robot was damped at its time.
     assert sent(toy, Damp)[0][0] == pytest.approx(saved.trace.meta["robot_time_start"] + 25 * STEP, abs=1e-6)
 
 
@@ -249,15 +250,15 @@ def test_a_fault_after_an_episode_does_not_change_how_it_ended(deploy, toy):
     assert toy.firmware.reason == Reason.HOST
 
 
-def test_a_tilt_while_the_robot_drops_is_no_fall(deploy, toy):
+def test_a_tilt_while_the_robot_drops_is_not_a_fall(deploy, toy):
     at_step(STEPS + 20, tilt(pitch=0.6), toy)
     outcome, _, _ = deploy()
     assert (outcome.ended, outcome.safe) == ("time", False)
     assert toy.firmware.mode == Mode.DISARMED
 
 
-def test_the_operator_stops_and_the_robot_sits(deploy, toy, stop):
-    stop.at = UP + 20 * STEP + 0.1
+def test_a_stop_request_makes_the_robot_sit(deploy, toy, stop):
+    stop.at = STARTUP_TIME + 20 * STEP + 0.1
     outcome, saved, _ = deploy(steps=300)
     assert end_of(outcome) == ("stopped", "operator", False)
     assert (toy.firmware.mode, toy.firmware.reason) == (Mode.DISARMED, Reason.NONE)
@@ -265,8 +266,8 @@ def test_the_operator_stops_and_the_robot_sits(deploy, toy, stop):
     assert 10 <= saved.trace.num_steps <= 40
 
 
-@pytest.mark.parametrize("when", [SEATED + 0.2, UP + 0.5])
-def test_the_operator_stops_twice_and_motors_are_damped(when, deploy, toy, stop):
+@pytest.mark.parametrize("when", [SEATED + 0.2, STARTUP_TIME + 0.5])
+def test_two_stop_requests_damp_the_motors(when, deploy, toy, stop):
     stop.at, stop.again = when, when + 0.2
     assert end_of(deploy(steps=300)[0]) == ("stopped", "operator", True)
     assert toy.firmware.reason == Reason.HOST
@@ -280,21 +281,21 @@ def test_the_operator_stops_twice_and_motors_are_damped(when, deploy, toy, stop)
         (0.15, ["draw legs in", "disarm"]),
         (0.25, ["sit", "disarm"]),
         (SEATED + 0.2, ["stand up", "sit down", "disarm"]),
-        (UP - 0.1, ["stand", "sit down", "disarm"]),
+        (STARTUP_TIME - 0.1, ["stand", "sit down", "disarm"]),
     ],
 )
-def test_the_operator_stops_before_the_policy_runs(when, phases, deploy, toy, stop, monitor):
+def test_a_stop_request_before_the_policy_runs(when, phases, deploy, toy, stop, monitor):
     stop.at = when
     outcome, saved, _ = deploy()
     assert end_of(outcome) == ("stopped", "operator", False)
-    # Only a robot that has begun to rise from sitting sits down; one that still lies is disarmed at once.
+    # Only a robot that has started to stand up sits down; a lying robot is disarmed at once.
     assert monitor.phases[-len(phases) :] == phases
     assert not sent(toy, Damp)
     assert (saved.trace, saved.lost) == (None, False)
     assert toy.firmware.mode == Mode.DISARMED
 
 
-def test_the_operator_stops_before_anything_moves(deploy, toy, stop):
+def test_a_stop_request_before_anything_moves(deploy, toy, stop):
     stop.at = 0.0
     assert deploy()[0].text == "stopped before anything moved"
     assert not sent(toy, Arm)
@@ -325,7 +326,7 @@ def test_a_robot_that_sends_no_states_is_damped_after_three_steps(deploy, toy):
     assert saved.trace.num_steps > 20
 
 
-def test_a_cable_that_is_pulled_ends_the_run_and_the_trace_is_kept(deploy, toy):
+def test_a_pulled_cable_ends_the_run_and_the_trace_is_saved(deploy, toy):
     once(toy, lambda: setattr(toy, "cut", True))
     outcome, saved, _ = deploy(steps=300)
     assert end_of(outcome) == ("fault", "link", True)
@@ -336,7 +337,7 @@ def test_a_cable_that_is_pulled_ends_the_run_and_the_trace_is_kept(deploy, toy):
 
 
 def late_by(link, steps, at):
-    """Let the clock be late once: the program sleeps through so many steps."""
+    """Make the clock late once: the program sleeps through a number of steps."""
     clock = link.clock
     wait, done = clock.wait_until, []
 
@@ -351,7 +352,7 @@ def late_by(link, steps, at):
 
 @pytest.mark.parametrize("steps", [1, 2])
 def test_missed_steps_hold_the_target_and_are_counted(steps, deploy, toy, link):
-    late_by(link, steps, UP + 0.2)
+    late_by(link, steps, STARTUP_TIME + 0.2)
     outcome, saved, timing = deploy()
     assert (outcome.ended, timing.missed) == ("time", steps)
     trace = saved.trace
@@ -361,14 +362,14 @@ def test_missed_steps_hold_the_target_and_are_counted(steps, deploy, toy, link):
     assert np.diff(trace.time) == pytest.approx(STEP)
     for k in missed:
         assert trace.target[k].tolist() == trace.target[missed[0] - 1].tolist()
-    # The gait's time stays right: the next target is that of its own time.
+    # The phase of the gait stays correct: the next target belongs to its own time.
     after, gait = missed[-1] + 1, deploy.deployment.controller.gait
     expected = gait.motor_targets(np.array([after * STEP]), trace.feedback[after][None])[0]
     assert trace.target[after] == pytest.approx(expected, abs=1e-12)
 
 
-def test_more_than_two_missed_steps_in_a_row_are_damped(deploy, toy, link):
-    late_by(link, 3, UP + 0.2)
+def test_more_than_two_consecutive_missed_steps_damp(deploy, toy, link):
+    late_by(link, 3, STARTUP_TIME + 0.2)
     outcome, saved, timing = deploy()
     assert end_of(outcome) == ("fault", "late", True)
     assert toy.firmware.reason == Reason.HOST
@@ -389,44 +390,44 @@ def test_a_dry_run_arms_and_commands_nothing(deploy, toy):
 @pytest.mark.parametrize(
     ("call", "match"),
     [
-        (raises, "policy 'trot' fails on the robot's present state: ZeroDivisionError: division by zero"),
+        (raises, "policy 'trot' fails in the robot's present state: ZeroDivisionError: division by zero"),
         (lambda: np.full((1, 8), np.nan), "present state: NotFiniteError: feedback 'swing.front_left'"),
     ],
 )
-def test_a_policy_that_fails_from_the_start_is_refused(call, match, deploy, toy, policy):
+def test_a_policy_that_fails_from_the_start_prevents_arming(call, match, deploy, toy, policy):
     with pytest.raises(SurefootError, match=match):
         deploy(Spoiled(policy, -20, call))
     assert not sent(toy, Arm)
 
 
-def test_a_cable_that_is_pulled_before_arming_is_an_error(deploy, toy):
+def test_a_cable_pulled_before_arming_is_an_error(deploy, toy):
     toy.cut = True
-    with pytest.raises(SurefootError, match="the robot was lost before it was armed: port toy is gone"):
+    with pytest.raises(SurefootError, match="connection lost before the robot was armed: port toy is gone"):
         deploy()
 
 
 def wear(toy):
-    """Let a motor be too hot from now on."""
+    """Make a motor too hot from now on."""
     toy.firmware._vitals = replace(toy.firmware._vitals, temperature=95.0)
     toy.firmware.tick = lambda now, vitals: None
 
 
-def test_a_robot_that_does_not_arm_is_refused(deploy, toy):
-    with pytest.raises(SurefootError, match="the robot does not arm: a motor has 95 degC"):
+def test_a_robot_that_cannot_be_armed_is_an_error(deploy, toy):
+    with pytest.raises(SurefootError, match="the robot does not arm: a motor is at 95 degC"):
         deploy(prepare=lambda: wear(toy))
     assert not sent(toy, Position)
 
 
-def test_a_robot_that_does_not_arm_again_ends_its_second_run(deploy, toy):
+def test_a_robot_that_cannot_be_armed_again_ends_its_second_run(deploy, toy):
     deploy()
     wear(toy)
     saver = RunSaver(deploy.deployment, None, STEPS)
     outcome = deploy.deployment.run(saver.recorder, LoopTiming(100))
     assert end_of(outcome) == ("fault", "arm", True)
-    assert "a motor has 95 degC" in outcome.text
+    assert "a motor is at 95 degC" in outcome.text
 
 
-def test_a_request_to_arm_that_is_lost_is_repeated(deploy, toy):
+def test_a_lost_request_to_arm_is_repeated(deploy, toy):
     write, lost = toy.write, []
 
     def drop_two(data: bytes) -> int:
@@ -441,13 +442,13 @@ def test_a_request_to_arm_that_is_lost_is_repeated(deploy, toy):
     assert len(lost) == 2
 
 
-def test_a_damped_robot_is_armed_after_its_link_was_clean(deploy, toy):
+def test_a_damped_robot_can_be_armed_after_a_clean_link(deploy, toy):
     outcome, _, _ = deploy(prepare=lambda: toy.firmware._fail(toy._now, Reason.TIMEOUT, "before"))
     assert outcome.ended == "time"
     assert sent(toy, Arm)[-1][0] >= toy.firmware.limits.rearm_after
 
 
-def test_a_robot_in_a_pose_beyond_its_limits_is_brought_back_within(deploy, toy):
+def test_a_robot_beyond_its_angle_limits_is_moved_back_within_them(deploy, toy):
     toy.angle = np.full(8, -1.0)
     assert deploy()[0].ended == "time"
     targets = np.array([message.target for _, message in sent(toy, Position)])

@@ -1,4 +1,4 @@
-"""Maps of heights: a real socket, and a toy robot whose policy sees them, late or not at all."""
+"""Height maps: a real socket, and a toy robot with a perceptive policy, whose maps are in time, late or missing."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ import pytest
 
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import Deployment
-from surefoot.deploy.map_channel import FRESH, MapChannel, send_map
-from surefoot.deploy.motion_runner import UP
+from surefoot.deploy.map_channel import MAX_DELAY, MapChannel, send_map
+from surefoot.deploy.motion_runner import STARTUP_TIME
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.run_saver import RunSaver
 from surefoot.deploy.safety import SafetyLimits
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract, HeightMap
-from surefoot.robot.commands import STAND
+from surefoot.robot.commands import STAND_COMMAND
 from surefoot.task.config import load_task
 from surefoot.task.contract_mapping import contract_from_task
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 
 GRID = HeightMap(ahead=(-0.2, 0.0, 0.2), left=(-0.1, 0.1), age=0.04)
 FALLS = 0.01
-"""Speed [m/s] at which the toy robot's ground sinks, so that a height tells when it was sent."""
+"""Speed at which the toy robot's ground sinks [m/s], so that a height shows when it was sent."""
 UNDER = 0.22
-"""How far the ground is under the toy robot [m] at first."""
+"""Initial distance from the toy robot to the ground [m]."""
 WALK = np.array([0.1, 0.0, 0.0])
 
 
@@ -46,20 +46,20 @@ def channel(now: list[float]) -> Iterator[MapChannel]:
 
 
 def receive(channel: MapChannel) -> list[float]:
-    """Return the heights of the next map: the system may take a moment to deliver."""
+    """Return the heights of the next map; the system may deliver it with a delay."""
     before, deadline = channel.newest, time.monotonic() + 30.0
     while (heights := channel.read()) is None or channel.newest is before:
         assert time.monotonic() < deadline
     return heights.tolist()
 
 
-def test_heights_come_by_place_ahead_then_to_the_left_and_age(channel: MapChannel, now: list[float]) -> None:
+def test_heights_are_ordered_from_behind_to_ahead_and_right_to_left(channel: MapChannel, now: list[float]) -> None:
     assert channel.read() is None
     assert not channel.is_fresh
     send_map(channel.port, [[-0.3, -0.31], [-0.32, -0.33], [5.0, -0.35]], age=0.05)
     assert receive(channel) == [-0.3, -0.31, -0.32, -0.33, 1.0, -0.35]
     assert channel.age == pytest.approx(0.05)
-    now[0] += GRID.age + FRESH - 0.051
+    now[0] += GRID.age + MAX_DELAY - 0.051
     channel.read()
     assert channel.is_fresh
     now[0] += 0.002
@@ -67,7 +67,7 @@ def test_heights_come_by_place_ahead_then_to_the_left_and_age(channel: MapChanne
     assert not channel.is_fresh
 
 
-def test_what_is_not_known_is_as_high_as_the_nearest_known_point_to_the_middle(channel: MapChannel) -> None:
+def test_unknown_heights_get_the_known_height_nearest_to_the_middle(channel: MapChannel) -> None:
     send_map(channel.port, [[None, -0.31], [None, -0.33], [-0.34, None]])
     assert receive(channel) == [-0.33, -0.31, -0.33, -0.33, -0.34, -0.33]
 
@@ -82,16 +82,16 @@ def test_what_is_not_known_is_as_high_as_the_nearest_known_point_to_the_middle(c
         b'{"heights": [[0, 0], [0, 0], [0, 0]]}' + b" " * 20_000,
     ],
 )
-def test_what_is_no_map_of_the_grid_is_counted_and_ignored(channel: MapChannel, data: bytes) -> None:
+def test_invalid_maps_are_counted_and_ignored(channel: MapChannel, data: bytes) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         sender.sendto(data, ("127.0.0.1", channel.port))
     send_map(channel.port, [[0.1, 0.2], [0.3, 0.4], [0.5, 0.6]])
     assert receive(channel) == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
-    assert channel.refused == 1
+    assert channel.rejected == 1
 
 
 class Seeing:
-    """A policy that keeps what it sees and adds nothing."""
+    """A policy that records its observations and has no feedback."""
 
     def __init__(self, contract: Contract) -> None:
         self.contract, self.seen = contract, []
@@ -103,7 +103,7 @@ class Seeing:
 
 @pytest.fixture
 def run(toy, link, robot, monitor, tmp_path) -> Callable[..., SimpleNamespace]:
-    """Run a policy that sees a map, which comes with every state while `sends` is true of the robot's time [s]."""
+    """Run a perceptive policy; a map is sent with every state while `sends` is true of the robot's time [s]."""
 
     def play(sends: Callable[[float], bool], steps: int = 150) -> SimpleNamespace:
         task = load_task("steer", robot=robot.name)[0]
@@ -115,8 +115,8 @@ def run(toy, link, robot, monitor, tmp_path) -> Callable[..., SimpleNamespace]:
         def sensors(moment, readings):
             if toy.firmware.armed and not armed:
                 armed.append(moment)
-            if sends(moment - armed[0] - UP if armed else -1.0):
-                send_map(maps.port, [[-UNDER - FALLS * moment] * len(MAP.left)] * len(MAP.ahead))
+            if sends(moment - armed[0] - STARTUP_TIME if armed else -1.0):
+                send_map(maps.port, [[-UNDER - FALLS * moment] * len(POLICY_GRID.left)] * len(POLICY_GRID.ahead))
             return readings
 
         toy.sensors = sensors
@@ -134,14 +134,14 @@ def run(toy, link, robot, monitor, tmp_path) -> Callable[..., SimpleNamespace]:
     return play
 
 
-def test_a_policy_sees_its_map_and_follows_commands_while_it_comes(run, monitor) -> None:
+def test_a_policy_gets_its_map_and_follows_commands_while_maps_arrive(run, monitor) -> None:
     done = run(lambda moment: True)
     assert (done.outcome.ended, done.outcome.safe) == ("time", False)
     assert monitor.warnings == []
     assert done.trace.command == pytest.approx(np.tile(WALK, (150, 1)))
     columns = done.policy.contract.columns
     seen = done.trace.observation[:, [columns.index(name) for name in columns if name.startswith("ground")]]
-    assert seen.shape == (150, len(MAP.ahead) * len(MAP.left))
+    assert seen.shape == (150, len(POLICY_GRID.ahead) * len(POLICY_GRID.left))
     sent = done.trace.meta["robot_time_start"] + done.trace.time - 2 * done.policy.contract.control_step
     np.testing.assert_array_equal(done.trace.height_map, seen)
     assert done.trace.meta["height_map"]["ahead"] == pytest.approx(done.policy.contract.height_map.ahead)
@@ -152,27 +152,27 @@ def test_the_robot_stands_while_its_map_is_late(run, monitor) -> None:
     done = run(lambda moment: not 0.5 < moment < 1.5)
     assert (done.outcome.ended, done.outcome.safe) == ("time", False)
     (warning,) = monitor.warnings
-    assert warning == "the map of heights was late; the robot stands until the next one"
+    assert warning == "the height map was late; the robot stands until the next one"
     contract = done.policy.contract
     time = contract.control_step * np.arange(150)
-    late = 0.5 + contract.height_map.age + FRESH
-    walks, stands = (np.isclose(done.trace.command, one).all(axis=1) for one in (WALK, STAND))
-    # States, and with them maps, come once a control step; phases take a step more than their time.
+    late = 0.5 + contract.height_map.age + MAX_DELAY
+    walks, stands = (np.isclose(done.trace.command, one).all(axis=1) for one in (WALK, STAND_COMMAND))
+    # States, and with them maps, are sent once per control step; each phase has one additional step.
     margin = 0.15
     assert walks[(time < late - margin) | (time > 1.5 + margin)].all()
     assert stands[(time > late + margin) & (time < 1.5 - margin)].all()
 
 
-def test_the_robot_sits_when_its_map_does_not_come_back(run, toy) -> None:
+def test_the_robot_sits_when_maps_stay_away(run, toy) -> None:
     done = run(lambda moment: moment < 0.3, steps=400)
     assert (done.outcome.ended, done.outcome.reason, done.outcome.safe) == ("stopped", "map", True)
-    assert "the newest map of heights is 2.0 s old; at most 2" in done.outcome.text
+    assert "the latest height map is 2.0 s old; at most 2" in done.outcome.text
     assert toy.kinds()[-1] == "Disarm"
     ran = len(done.trace.time) * done.policy.contract.control_step
     assert ran == pytest.approx(0.3 + SafetyLimits.map_age, abs=0.15)
 
 
 def test_without_a_map_no_motor_moves(run, toy) -> None:
-    with pytest.raises(SurefootError, match=r"no map of heights arrives at port \d+ within 1 s; start the program"):
+    with pytest.raises(SurefootError, match=r"no height map arrived at port \d+ within 1 s; start the program"):
         run(lambda moment: False)
     assert "Arm" not in toy.kinds()

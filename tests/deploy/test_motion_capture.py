@@ -1,4 +1,4 @@
-"""Motion capture at the rows of a trace."""
+"""Motion capture resampled at the rows of a trace."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def rotation(yaw: float) -> list[float]:
 
 @pytest.fixture
 def straight(tmp_path):
-    """A robot that goes at 1 m/s in the direction of 30 degrees, from (5, 7), seen at 200 Hz."""
+    """A robot that moves at 1 m/s in the direction of 30 degrees, from (5, 7), captured at 200 Hz."""
     path, yaw = tmp_path / "capture.csv", np.pi / 6
     lines = [HEAD + ",contact_left"]
     for k in range(401):
@@ -40,13 +40,13 @@ def test_the_run_starts_at_the_origin_and_goes_forward(straight):
     assert seen["base_quat_world"] == pytest.approx(np.tile([1.0, 0, 0, 0], (101, 1)), abs=1e-12)
 
 
-def test_feet_have_switches_or_none(straight):
+def test_feet_without_switches_have_no_contacts(straight):
     contact = base_and_feet(read_capture(straight), 0.5, 0.005, 10, LEGS)["foot_contact"]
     assert contact[:, 0] == pytest.approx([1, 0] * 5, abs=1e-9)
     assert np.isnan(contact[:, 1]).all()
 
 
-def test_a_rotation_is_kept(tmp_path):
+def test_a_rotation_is_preserved(tmp_path):
     path = tmp_path / "capture.csv"
     lines = [HEAD] + [",".join(map(str, [0.1 * k, 0, 0, 0, *rotation(1.0 + 0.1 * k)])) for k in range(11)]
     path.write_text("\n".join(lines))
@@ -55,7 +55,7 @@ def test_a_rotation_is_kept(tmp_path):
     assert np.linalg.norm(quat, axis=1) == pytest.approx(1.0)
 
 
-def test_quaternions_of_either_sign_are_the_same(tmp_path):
+def test_quaternions_of_either_sign_give_the_same_motion(tmp_path):
     path = tmp_path / "capture.csv"
     rows = [[0.1 * k, 0, 0, 0, *((-1) ** k * np.array(rotation(0.01 * k)))] for k in range(11)]
     path.write_text("\n".join([HEAD, *(",".join(map(str, row)) for row in rows)]))
@@ -63,8 +63,8 @@ def test_quaternions_of_either_sign_are_the_same(tmp_path):
     assert [quat_yaw(row) for row in quat] == pytest.approx(0.005 * np.arange(21), abs=1e-6)
 
 
-def test_a_tilted_start_keeps_its_tilt(tmp_path):
-    """A pitch of 0.2 rad under a yaw of 1 rad: without the yaw it is the pitch alone."""
+def test_the_tilt_at_the_start_is_preserved(tmp_path):
+    """A pitch of 0.2 rad and a yaw of 1 rad: after removing the yaw, only the pitch remains."""
     path = tmp_path / "capture.csv"
     w, y = np.cos(0.1), np.sin(0.1)
     c, s = np.cos(0.5), np.sin(0.5)
@@ -74,7 +74,7 @@ def test_a_tilted_start_keeps_its_tilt(tmp_path):
     assert quats[0] == pytest.approx([w, 0.0, y, 0.0])
 
 
-def test_a_line_that_is_still_written_is_left_out(straight):
+def test_an_incomplete_last_line_is_skipped(straight):
     rows = len(read_capture(straight)["time"])
     with straight.open("a") as file:
         file.write("2.005,5.0,7")
@@ -86,29 +86,29 @@ def test_a_line_that_is_still_written_is_left_out(straight):
     [
         ("", "has no column time; it needs time, x, y, z"),
         ("time,x,y\n1,2,3\n", "has no column z"),
-        (HEAD + "\n0,0,0,0,1,0,0,0\n", "has 1 whole rows; it needs 2 or more"),
-        (HEAD + "\n0,0,0,nan,1,0,0,0\n1,a,0,0,1,0,0,0\n", "has 0 whole rows"),
+        (HEAD + "\n0,0,0,0,1,0,0,0\n", "has 1 complete rows; it needs 2 or more"),
+        (HEAD + "\n0,0,0,nan,1,0,0,0\n1,a,0,0,1,0,0,0\n", "has 0 complete rows"),
     ],
 )
-def test_a_file_without_the_columns_or_two_rows_is_refused(text, match, tmp_path):
+def test_a_file_without_the_columns_or_two_rows_is_rejected(text, match, tmp_path):
     path = tmp_path / "capture.csv"
     path.write_text(text)
     with pytest.raises(SurefootError, match=match):
         read_capture(path)
 
 
-def test_a_file_that_is_missing_is_refused(tmp_path):
+def test_a_missing_file_is_rejected(tmp_path):
     with pytest.raises(SurefootError, match="can't be read: No such file"):
         read_capture(tmp_path / "none.csv")
 
 
 @pytest.mark.parametrize("start", [-0.2, 1.8])
-def test_a_file_that_does_not_cover_the_run_is_refused(start, straight):
-    with pytest.raises(SurefootError, match=r"covers 0.000 to 2.000 s on the robot's clock; the run took place from"):
+def test_a_file_that_does_not_cover_the_run_is_rejected(start, straight):
+    with pytest.raises(SurefootError, match=r"covers 0.000 to 2.000 s on the robot's clock; the run lasted from"):
         base_and_feet(read_capture(straight), start, 0.006, 100, LEGS)
 
 
-def test_quaternions_without_length_are_refused(tmp_path):
+def test_quaternions_with_a_wrong_norm_are_rejected(tmp_path):
     path = tmp_path / "capture.csv"
     path.write_text(HEAD + "\n0,0,0,0,0,0,0,0\n1,0,0,0,0,0,0,0\n")
     with pytest.raises(SurefootError, match="its quaternions are not of length 1"):

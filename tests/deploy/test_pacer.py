@@ -1,4 +1,4 @@
-"""Timing of the control loop, on a clock that tests move, and what keeps the process in time."""
+"""Timing of the control loop on a simulated clock, and real-time priority."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import sys
 
 import pytest
 
-from surefoot.deploy.pacer import LoopTiming, Pacer, undisturbed
+from surefoot.deploy.pacer import LoopTiming, Pacer, real_time_priority
 
 
 class HandClock:
-    """A clock that wakes late once."""
+    """A clock that wakes up late once."""
 
     def __init__(self) -> None:
         self.time = 10.0
@@ -35,7 +35,7 @@ def test_steps_come_at_whole_periods():
 
 
 @pytest.mark.parametrize(("late", "missed"), [(0.001, 0), (0.0059, 0), (0.0061, 1), (0.0125, 2), (0.0181, 3)])
-def test_a_step_that_starts_a_period_late_is_missed_and_due_times_stay(late, missed):
+def test_a_step_late_by_a_period_is_missed_and_due_times_do_not_shift(late, missed):
     clock = HandClock()
     pacer = Pacer(clock, 0.006)
     pacer.next()
@@ -49,7 +49,7 @@ def test_a_step_that_starts_a_period_late_is_missed_and_due_times_stay(late, mis
     assert following.due == pytest.approx(tick.due + 0.006)
 
 
-def test_a_restart_takes_the_place_of_the_next_step():
+def test_a_restart_replaces_the_next_step():
     clock = HandClock()
     pacer = Pacer(clock, 0.006)
     for _ in range(3):
@@ -63,27 +63,27 @@ def test_a_restart_takes_the_place_of_the_next_step():
     assert tick.due == pytest.approx(11.0)
 
 
-def test_figures_are_in_milliseconds():
+def test_metrics_are_in_milliseconds():
     timing = LoopTiming(100)
-    assert timing.figures()["lateness_median_ms"] is None
+    assert timing.metrics()["lateness_median_ms"] is None
     for k in range(101):
         timing.add(k * 1e-5, 1e-3 + k * 1e-5, 2e-4 if k % 2 else float("nan"), k * 1e-4, 0, True)
     timing.add(0.0, 0.0, float("nan"), 0.0, 2, False)
-    figures = timing.figures()
-    assert (figures["steps"], figures["missed"], figures["stale"]) == (102, 2, 1)
-    assert figures["lateness_median_ms"] == pytest.approx(0.495)
-    assert figures["lateness_max_ms"] == pytest.approx(0.99)
-    assert figures["sent_max_ms"] == pytest.approx(1.99)
-    assert figures["inference_median_ms"] == pytest.approx(0.2)
-    assert (figures["state_age_median_ms"], figures["state_age_max_ms"]) == pytest.approx((4.95, 9.9))
+    metrics = timing.metrics()
+    assert (metrics["steps"], metrics["missed"], metrics["stale"]) == (102, 2, 1)
+    assert metrics["lateness_median_ms"] == pytest.approx(0.495)
+    assert metrics["lateness_max_ms"] == pytest.approx(0.99)
+    assert metrics["sent_max_ms"] == pytest.approx(1.99)
+    assert metrics["inference_median_ms"] == pytest.approx(0.2)
+    assert (metrics["state_age_median_ms"], metrics["state_age_max_ms"]) == pytest.approx((4.95, 9.9))
     assert timing.last(2).tolist() == pytest.approx([0.98e-3, 0.99e-3])
 
 
-def test_undisturbed_collects_no_garbage_and_ends_also_after_an_exception():
+def test_real_time_priority_disables_garbage_collection_and_ends_after_an_exception():
     before = sys.getswitchinterval()
 
     def fail() -> None:
-        with undisturbed():
+        with real_time_priority():
             assert not gc.isenabled()
             assert sys.getswitchinterval() < before
             raise ZeroDivisionError
@@ -95,12 +95,12 @@ def test_undisturbed_collects_no_garbage_and_ends_also_after_an_exception():
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
 
-def test_undisturbed_works_without_the_right_to_priority(monkeypatch):
+def test_real_time_priority_works_without_permission(monkeypatch):
     def refused(*_: object) -> None:
         raise PermissionError
 
     monkeypatch.setattr(os, "sched_setscheduler", refused)
     monkeypatch.setattr(os, "setpriority", refused)
-    with undisturbed():
+    with real_time_priority():
         assert not gc.isenabled()
     assert gc.isenabled()

@@ -10,7 +10,7 @@ import pytest
 from surefoot.deploy.poses import lying_pose, minimum_jerk, sitting_pose
 
 
-def test_a_robot_sits_with_all_legs_alike(robot):
+def test_all_legs_of_a_sitting_robot_have_the_same_pose(robot):
     np.testing.assert_allclose(robot.to_pose(sitting_pose(robot)), [[0.0] * 4, [0.9] * 4], atol=1e-12)
 
 
@@ -31,11 +31,11 @@ def test_minimum_jerk_starts_and_ends_at_rest():
     assert speed.max() == pytest.approx(15 / 8, rel=1e-5)
 
 
-def test_legs_that_lie_aside_are_laid_flat_on_their_side(robot):
+def test_legs_next_to_the_body_are_laid_flat_on_their_side(robot):
     present = robot.pose_angles(np.array([-0.8, 0.9, 0.1, -0.2]), np.array([0.1, 0.2, 0.9, 0.5]))
     swing, extension = robot.to_pose(lying_pose(robot, present))
     assert swing == pytest.approx([-1.2, 1.2, 0.0, 0.0])
     assert extension == pytest.approx(0.9)
-    # A robot whose legs do not slide out puts all of them as in sitting.
+    # If the legs of a robot do not slide out, all of them get the sitting pose.
     stiff = replace(robot, poses=replace(robot.poses, spread=None))
     np.testing.assert_array_equal(lying_pose(stiff, present), sitting_pose(robot))

@@ -1,4 +1,4 @@
-"""Rows of a run, the file that grows with them, and the trace that they make."""
+"""Rows of a run, their growing file, and the resulting trace."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from surefoot.columns import RowLayout
 from surefoot.deploy import background_file
 from surefoot.deploy.background_file import BackgroundFile
 from surefoot.deploy.recorder import Recorder
-from surefoot.deploy.run_saver import next_free
+from surefoot.deploy.run_saver import next_free_path
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import TraceHead, recover, row_bytes
+from surefoot.task.partial_trace import TraceHeader, recover, row_bytes
 
 STEP = 0.006
 META = {
@@ -32,7 +32,7 @@ META = {
     "observation_names": ["x", "y", "z"],
     "ended": "time",
 }
-HEAD = TraceHead.of_robot(META, actions=8, commands=False, robot_archive=b"")
+HEAD = TraceHeader.of_robot(META, actions=8, commands=False, robot_archive=b"")
 LAYOUT = HEAD.layout
 
 
@@ -50,13 +50,13 @@ def recorded(a_state):
     recorder = Recorder(LAYOUT, STEP, 10)
     recorder.begin(state(0), 100.0)
     for k in range(4):
-        recorder.close(k, state(k))
+        recorder.complete_rows(k, state(k))
         if k < 3:
-            recorder.open(*opened(k))
+            recorder.start_row(*opened(k))
     return recorder, state
 
 
-def test_a_row_has_its_start_and_the_state_of_its_end(recorded):
+def test_a_row_has_values_of_its_start_and_the_state_at_its_end(recorded):
     recorder, _ = recorded
     assert recorder.steps == 3
     columns = LAYOUT.columns(recorder.rows)
@@ -70,8 +70,8 @@ def test_a_row_has_its_start_and_the_state_of_its_end(recorded):
 
 def test_missed_steps_repeat_the_target_that_servos_held(recorded):
     recorder, state = recorded
-    recorder.open(*opened(3))
-    recorder.close(6, state(6))
+    recorder.start_row(*opened(3))
+    recorder.complete_rows(6, state(6))
     assert recorder.steps == 6
     assert recorder.missed == [4, 5]
     columns = LAYOUT.columns(recorder.rows)
@@ -81,28 +81,28 @@ def test_missed_steps_repeat_the_target_that_servos_held(recorded):
     assert columns["energy"][3:].tolist() == [36.0 - 9.0, 0.0, 0.0]
 
 
-def test_a_state_that_is_not_finite_closes_no_row(recorded):
+def test_a_state_that_is_not_finite_completes_no_row(recorded):
     recorder, state = recorded
-    recorder.open(*opened(3))
-    recorder.close(4, replace(state(4), motor_velocity=np.full(8, np.nan)))
+    recorder.start_row(*opened(3))
+    recorder.complete_rows(4, replace(state(4), motor_velocity=np.full(8, np.nan)))
     assert recorder.steps == 3
 
 
-def test_a_recorder_that_is_full_takes_no_more(recorded):
+def test_a_full_recorder_accepts_no_more_rows(recorded):
     recorder, state = recorded
-    recorder.open(*opened(3))
-    recorder.close(99, state(4))
+    recorder.start_row(*opened(3))
+    recorder.complete_rows(99, state(4))
     assert recorder.steps == 10
 
 
 def test_energy_after_a_counter_reset_is_not_counted(recorded):
     recorder, state = recorded
-    recorder.open(*opened(3))
-    recorder.close(4, state(0))
+    recorder.start_row(*opened(3))
+    recorder.complete_rows(4, state(0))
     assert LAYOUT.columns(recorder.rows)["energy"][3] == 0.0
 
 
-def test_quantities_the_robot_does_not_measure_are_nan_in_the_trace(recorded):
+def test_quantities_that_are_not_measured_are_nan_in_the_trace(recorded):
     trace = HEAD.trace(recorded[0].rows, {})
     assert trace.num_steps == 3
     assert np.isnan(trace.base_position_world).all()
@@ -120,7 +120,7 @@ def partial(recorded, tmp_path):
     for row in recorded[0].rows:
         file.add(row_bytes(row[None]))
     file.close()
-    assert file.stopped == ""
+    assert file.error == ""
     return file.path
 
 
@@ -132,7 +132,7 @@ def test_a_partial_file_gives_the_same_trace(recorded, partial):
         assert getattr(trace, name).tolist() == getattr(whole, name).tolist()
 
 
-def test_a_row_that_was_cut_is_left_out(partial):
+def test_an_incomplete_row_is_skipped(partial):
     partial.write_bytes(partial.read_bytes()[:-5])
     assert recover(partial).num_steps == 2
 
@@ -154,27 +154,27 @@ def test_a_partial_file_of_version_1_is_read(recorded, tmp_path, commands):
     ("content", "match"),
     [
         (None, "can't be read: No such file"),
-        (b"", "is not one"),
-        (b"{}\n", "is not one"),
-        (b"[1]\n", "is not one"),
-        (b'{"kind": "other"}\n', "is not one"),
-        (b"\xff\xfe\n", "is not one"),
-        (TraceHead(LAYOUT, {}).line(), "holds no whole control step"),
-        (TraceHead(RowLayout({}), {}).line() + bytes(800), "holds no whole control step"),
-        (TraceHead(LAYOUT, {}).line() + bytes(8 * LAYOUT.width), "trace: meta.robot, meta.world, .* are missing"),
+        (b"", "is not a partial trace file"),
+        (b"{}\n", "is not a partial trace file"),
+        (b"[1]\n", "is not a partial trace file"),
+        (b'{"kind": "other"}\n', "is not a partial trace file"),
+        (b"\xff\xfe\n", "is not a partial trace file"),
+        (TraceHeader(LAYOUT, {}).line(), "holds no complete control step"),
+        (TraceHeader(RowLayout({}), {}).line() + bytes(800), "holds no complete control step"),
+        (TraceHeader(LAYOUT, {}).line() + bytes(8 * LAYOUT.width), "trace: meta.robot, meta.world, .* are missing"),
         (HEAD.line().replace(b'"version": 2', b'"version": 3'), "is of version 3; surefoot reads versions 1 and 2"),
-        (TraceHead(RowLayout({"time": -1}), META).line() + bytes(800), "columns.time is -1; it must be 0 or more"),
+        (TraceHeader(RowLayout({"time": -1}), META).line() + bytes(800), "columns.time is -1; it must be 0 or more"),
         (
-            TraceHead(RowLayout({"base_quat_world": 4}), META, {"base_quat_world": np.zeros(3)}).line() + bytes(32),
+            TraceHeader(RowLayout({"base_quat_world": 4}), META, {"base_quat_world": np.zeros(3)}).line() + bytes(32),
             r"column base_quat_world \(T\+1, 4\) has 4 numbers in a row",
         ),
-        (TraceHead(RowLayout({"roll_pitch_yaw": 6}), META).line() + bytes(48), "has 6 numbers in a row"),
-        (TraceHead(RowLayout({"foot_position_world": 7}), META).line() + bytes(56), "has 7 numbers in a row"),
-        (TraceHead(RowLayout({"time": 1}), META).line() + bytes(8), "has shape"),
-        (b'{"kind": "surefoot-partial-trace", "meta": {}, "motors": 8}', "is not one: 'legs'"),
+        (TraceHeader(RowLayout({"roll_pitch_yaw": 6}), META).line() + bytes(48), "has 6 numbers in a row"),
+        (TraceHeader(RowLayout({"foot_position_world": 7}), META).line() + bytes(56), "has 7 numbers in a row"),
+        (TraceHeader(RowLayout({"time": 1}), META).line() + bytes(8), "has shape"),
+        (b'{"kind": "surefoot-partial-trace", "meta": {}, "motors": 8}', "is not a partial trace file: 'legs'"),
     ],
 )
-def test_a_file_that_is_no_partial_trace_is_refused(content, match, tmp_path):
+def test_a_file_that_is_not_a_partial_trace_is_rejected(content, match, tmp_path):
     path = tmp_path / "run.partial"
     if content is not None:
         path.write_bytes(content)
@@ -186,47 +186,47 @@ def test_a_file_that_cannot_be_opened_stops_recording(tmp_path):
     file = BackgroundFile(tmp_path / "none" / "run.partial", 0.1)
     file.add(b"row")
     file.close()
-    assert file.stopped == "No such file or directory"
+    assert file.error == "No such file or directory"
 
 
-def test_an_error_that_the_disk_reports_at_the_end_is_kept(tmp_path):
+def test_an_error_that_the_disk_reports_at_the_end_is_stored(tmp_path):
     file = BackgroundFile(tmp_path / "run.partial", None)
     file.add(b"row")
     file._file.close()
     file._file = mock.Mock(close=mock.Mock(side_effect=OSError(28, "No space left on device")))
     file.close()
-    assert file.stopped == "No space left on device"
+    assert file.error == "No space left on device"
 
 
-def test_a_file_without_data_is_not_made(tmp_path):
+def test_a_file_without_data_is_not_created(tmp_path):
     BackgroundFile(tmp_path / "run.partial", 0.1).close()
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_blocked_disk_does_not_block_the_run(tmp_path, monkeypatch):
-    monkeypatch.setattr(background_file, "PATIENCE", 0.1)
+    monkeypatch.setattr(background_file, "CLOSE_TIMEOUT", 0.1)
     file = BackgroundFile(tmp_path / "run.partial", 0.1)
     file._writer.send_signal(signal.SIGSTOP)
-    os.waitpid(file._writer.pid, os.WUNTRACED)  # on a busy computer it reads on for a while
+    os.waitpid(file._writer.pid, os.WUNTRACED)  # on a busy computer it continues to read for a while
     start = time.monotonic()
     for _ in range(40):
         file.add(bytes(100_000))
     assert time.monotonic() - start < 5.0
-    assert 25 < file.waiting < 40
+    assert 25 < file.pending < 40
     file.close()
-    assert file.stopped == "the disk does not answer"
+    assert file.error == "the disk does not respond"
     file._writer.kill()
     file._writer.wait()
 
 
-def test_what_waits_for_a_slow_disk_is_written_in_order(tmp_path):
+def test_data_that_wait_for_a_slow_disk_are_written_in_order(tmp_path):
     file, pieces = BackgroundFile(tmp_path / "run.partial", 0.01), [bytes([k]) * 100_000 for k in range(40)]
     file._writer.send_signal(signal.SIGSTOP)
     for piece in pieces:
         file.add(piece)
     file._writer.send_signal(signal.SIGCONT)
     file.close()
-    assert file.stopped == ""
+    assert file.error == ""
     assert file.path.read_bytes() == b"".join(pieces)
 
 
@@ -235,11 +235,11 @@ def test_a_writer_that_is_killed_stops_recording(tmp_path):
     file._writer.kill()
     file._writer.wait()
     file.add(b"row")
-    assert file.stopped == "its process has ended"
+    assert file.error == "its process has ended"
     file.close()
 
 
-def test_all_that_a_killed_process_added_is_in_the_file(tmp_path):
+def test_data_added_by_a_killed_process_are_in_the_file(tmp_path):
     program = """
 import os, signal, sys
 from pathlib import Path
@@ -261,8 +261,8 @@ os.killpg(0, signal.SIGKILL)
     assert path.read_bytes() == whole
 
 
-def test_names_are_numbered_beside_whole_and_partial_runs(tmp_path):
-    assert next_free(tmp_path / "new").name == "run_000.npz"
+def test_file_numbers_skip_complete_and_partial_runs(tmp_path):
+    assert next_free_path(tmp_path / "new").name == "run_000.npz"
     (tmp_path / "run_000.npz").touch()
     (tmp_path / "run_001.npz.partial").touch()
-    assert next_free(tmp_path) == tmp_path / "run_002.npz"
+    assert next_free_path(tmp_path) == tmp_path / "run_002.npz"

@@ -1,4 +1,4 @@
-"""Connecting to a robot, refusals, and its newest state."""
+"""Connecting to a robot, rejections, and its latest state."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def operator_of(toy, session: int) -> RobotLink:
     return SerialLink(toy, toy.codec, clock, session)
 
 
-def test_a_handshake_answers_and_states_follow(link):
+def test_the_robot_answers_with_a_handshake_and_then_states(link):
     handshake = link.connect(state_period=0.006)
     assert handshake.session == 77
     assert handshake.robot == "minitaur"
@@ -28,7 +28,7 @@ def test_a_handshake_answers_and_states_follow(link):
     assert link.state_age() <= 0.006 + 1e-9
 
 
-def test_a_robot_that_was_switched_on_anew_is_connected_again(toy, link):
+def test_a_restarted_robot_can_be_connected_again(toy, link):
     link.connect(state_period=0.006)
     link.wait_for(lambda: False, 0.1)
     toy.firmware = Firmware(toy.firmware.handshake, toy.firmware.limits)
@@ -38,7 +38,7 @@ def test_a_robot_that_was_switched_on_anew_is_connected_again(toy, link):
     assert link.wait_for(lambda: link.states >= states + 3, 0.1)
 
 
-def test_states_for_another_operator_are_forgotten(toy, link):
+def test_states_for_another_operator_are_discarded(toy, link):
     before = operator_of(toy, 5)
     before.connect(state_period=0.006)
     toy.run_to(50_000)
@@ -79,16 +79,16 @@ def test_a_robot_that_does_not_answer_is_an_error(toy, monkeypatch):
         link.connect()
 
 
-def test_a_second_operator_is_refused_and_the_first_keeps_the_robot(toy, link):
+def test_a_second_operator_is_rejected_and_the_first_keeps_the_robot(toy, link):
     link.connect()
     link.arm(Mode.POSITION, 0.006)
     stranger = operator_of(toy, 78)
-    with pytest.raises(SurefootError, match="the robot refuses: another operator has the robot"):
+    with pytest.raises(SurefootError, match="the robot rejects the connection: another operator uses the robot"):
         stranger.connect()
     assert toy.firmware.owner == 77
 
 
-def test_a_robot_of_another_protocol_is_named(toy, link):
+def test_a_robot_with_another_protocol_is_reported(toy, link):
     link.decoder.codec = Codec(8)
     link.decoder.codec.schema ^= 1
     with pytest.raises(SurefootError, match="has version 1 and schema 0x"):
@@ -97,7 +97,7 @@ def test_a_robot_of_another_protocol_is_named(toy, link):
 
 @pytest.mark.parametrize("period", [0.006, 0.005, 1 / 180, 0.0070001])
 def test_an_armed_robot_sends_a_state_just_before_the_next_command(period, link):
-    """Times of sending are whole microseconds; a period need not be."""
+    """Sending times are whole microseconds; periods may not be."""
     link.connect()
     link.arm(Mode.POSITION, period)
     start = link.clock.now()
@@ -111,7 +111,7 @@ def test_an_armed_robot_sends_a_state_just_before_the_next_command(period, link)
         assert link.state_age() <= 1.5e-6
 
 
-def test_a_state_is_requested_the_lead_before_the_next_command(toy, link):
+def test_states_are_requested_the_lead_before_the_next_command(toy, link):
     link.connect()
     link.arm(Mode.POSITION, 0.006, lead=LEAD)
     arm = next(message for _, message in toy.received if isinstance(message, Arm))

@@ -1,4 +1,4 @@
-"""The guard: each limit with a state on either side of it."""
+"""The guard: each limit, with states on both sides of it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def guard() -> Guard:
 
 @pytest.fixture
 def judge(a_state, guard):
-    """What is done in an ordinary step, with changes: of the state by name, of the rest by keyword."""
+    """Return the verdict of a normal step with changes of the state, and of other inputs by keyword."""
 
     def make(time=0.0, state_age=0.001, guard=guard, missed=0, stops=0, armed=True, upright=True, **state) -> Verdict:
         return guard.check(time, replace(a_state, **state), state_age, missed, stops, armed, upright)
@@ -41,7 +41,7 @@ def tilted(roll: float = 0.0, pitch: float = 0.0) -> np.ndarray:
     return np.array([roll, pitch, 3.0])
 
 
-def test_an_ordinary_step_continues(guard, judge):
+def test_a_normal_step_continues(guard, judge):
     assert judge() is GO
     assert guard.warnings == []
 
@@ -78,7 +78,7 @@ def test_an_ordinary_step_continues(guard, judge):
         ({"stops": 2}, Act.DAMP, "operator"),
     ],
 )
-def test_each_limit_holds_on_either_side(judge, change, act, reason):
+def test_each_limit_is_tested_on_both_sides(judge, change, act, reason):
     verdict = judge(**change)
     assert (verdict.act, verdict.reason) == (act, reason)
     assert bool(verdict.text) == (act is not Act.GO)
@@ -97,7 +97,7 @@ def test_the_most_urgent_verdict_comes_first(judge, stops, reason):
         {"mode": int(Mode.DISARMED), "session": 0, "armed": False},
     ],
 )
-def test_a_fallen_robot_may_be_tilted_and_one_that_is_not_armed_in_any_mode(step, judge):
+def test_tilt_is_ignored_after_a_fall_and_the_mode_before_arming(step, judge):
     assert judge(**step) is GO
 
 
@@ -106,7 +106,7 @@ def test_the_tasks_fall_angle_is_the_limit(judge):
     assert judge(roll_pitch_yaw=tilted(0.31), guard=strict).act is Act.FALL
 
 
-def test_a_battery_may_be_low_for_a_second(guard, judge):
+def test_low_battery_voltage_is_tolerated_for_a_second(guard, judge):
     assert judge(0.0, voltage=16.0) is GO
     assert judge(1.0, voltage=11.0) is GO
     assert judge(1.9, voltage=14.1) is GO
@@ -119,7 +119,7 @@ def test_a_battery_may_be_low_for_a_second(guard, judge):
     assert judge(6.0, guard=fresh, voltage=13.0).act is Act.SIT
 
 
-def test_warnings_come_once(guard, judge):
+def test_warnings_are_given_once(guard, judge):
     for k in range(200):
         judge(0.01 * k, voltage=14.2, temperature=np.full(8, 75.0))
     assert guard.warnings == ["a motor is hotter than 70 degC", "battery below 14.4 V; charge it soon"]
@@ -142,6 +142,6 @@ def test_numbers_that_are_not_finite_are_named():
         ({"tilt": float("inf")}, "tilt is inf"),
     ],
 )
-def test_limits_that_make_no_sense_are_refused(limits, match):
+def test_invalid_limits_are_rejected(limits, match):
     with pytest.raises(SurefootError, match=match):
         SafetyLimits(**{"battery_warn": 14.4, "battery_low": 14.0, **limits})

@@ -1,4 +1,4 @@
-"""docs/safety.md and docs/emulator.md say what the code does: limits, phases, faults, assumed hardware."""
+"""docs/safety.md and docs/emulator.md agree with the code: limits, phases, faults, assumed hardware."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def emulator_page(repository: Path) -> str:
     return (repository / "docs" / "emulator.md").read_text(encoding="utf-8")
 
 
-def test_the_hosts_limits_are_those_of_the_code(document: str, robot: RobotDescription):
+def test_the_hosts_limits_agree_with_the_code(document: str, robot: RobotDescription):
     rows = re.findall(r"^\| `([a-z_]+)` \| ([\d.]+) \w", document, re.MULTILINE)
     assert {name: float(number) for name, number in rows} == asdict(SafetyLimits.from_robot(robot))
 
 
-def test_the_limits_of_a_go2_are_its_sheets(document: str, emulator_page: str):
+def test_the_limits_of_a_go2_are_from_its_data_sheet(document: str, emulator_page: str):
     robot = RobotDescription.load("go2")
     battery, heat, text = robot.battery, robot.heat, " ".join(document.split())
     assert (
@@ -39,7 +39,7 @@ def test_the_limits_of_a_go2_are_its_sheets(document: str, emulator_page: str):
     assert stated in " ".join(emulator_page.split())
 
 
-def test_the_robots_limits_are_those_of_the_emulator(document: str, robot: RobotDescription):
+def test_the_robots_limits_agree_with_the_emulator(document: str, robot: RobotDescription):
     pytest.importorskip("numba")
     from surefoot.deploy.board.limits import Limits
 
@@ -61,7 +61,7 @@ def test_the_robots_limits_are_those_of_the_emulator(document: str, robot: Robot
         assert number in text, number
 
 
-def test_the_hardware_that_is_assumed_is_the_emulators(emulator_page: str):
+def test_the_assumed_hardware_agrees_with_the_emulator(emulator_page: str):
     pytest.importorskip("numba")
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
 
@@ -84,14 +84,14 @@ def test_every_fault_of_the_emulator_is_on_its_page(emulator_page: str):
     assert sorted(re.findall(r"`([a-z-]+)`", listed)) == sorted(FAULTS)
 
 
-def test_every_phase_of_a_run_stands_in_the_table(document: str):
+def test_every_phase_of_a_run_is_in_the_table(document: str):
     from surefoot.deploy import motion_runner as motion
-    from surefoot.deploy.deployment import PUNCTUAL
+    from surefoot.deploy.deployment import TIMING_STEPS
 
-    assert f"| check timing | {PUNCTUAL * 0.006:.1f} s |" in document
-    flat, fold, pause = motion.FLAT, motion.FOLD, motion.PAUSE
+    assert f"| check timing | {TIMING_STEPS * 0.006:.1f} s |" in document
+    flat, fold, pause = motion.LAY_FLAT_TIME, motion.FOLD_TIME, motion.PAUSE_TIME
     assert f"| lay legs flat, draw legs in, sit | {flat + fold + pause:.1f} s |" in document
-    assert f"| stand up, stand | {motion.RISE + motion.HOLD:.1f} s |" in document
+    assert f"| stand up, stand | {motion.RISE_TIME + motion.STAND_TIME:.1f} s |" in document
 
 
 def test_tests_and_modules_that_the_pages_name_exist(document: str, emulator_page: str, repository: Path):

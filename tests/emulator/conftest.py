@@ -1,4 +1,4 @@
-"""Operators and emulators that tests of this package share."""
+"""Operators and emulators for tests of this package."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STEP = 6000
 
 
 class Bytes:
-    """One side's encoder and decoder."""
+    """Encoder and decoder of one side."""
 
     def __init__(self, motors: int = 8) -> None:
         self.codec = Codec(motors)
@@ -32,7 +32,7 @@ class Bytes:
         self.number = 0
 
     def frame(self, message: Message, time: float, number: int | None = None) -> bytes:
-        """Encode with the next number, or with a given one that does not count."""
+        """Encode with the next number, or with a given one that is not counted."""
         if number is None:
             self.number = number = self.number + 1
         return encode_frame(self.codec, message, number, time)
@@ -61,7 +61,7 @@ class Host:
         os.write(self.file, self.bytes.frame(message, self.now() if at is None else at))
 
     def receive(self, wait: float = 0.0) -> list[Packet]:
-        """Wait for something, at most so long, and return what has arrived."""
+        """Wait for data, at most a timeout [s], and return the frames that have arrived."""
         if wait > 0:
             select.select([self.file], [], [], wait)
         try:
@@ -72,7 +72,7 @@ class Host:
         return packets
 
     def wait_for(self, kind: type[Any], condition: Callable[[Any], bool] = lambda message: True) -> Packet:
-        """Return the first frame to arrive of a kind for which a condition holds."""
+        """Return the first arriving frame of a type for which a condition holds."""
         end = time.monotonic() + 20.0
         while time.monotonic() < end:
             for frame in self.receive(0.05):
@@ -81,7 +81,7 @@ class Host:
         raise AssertionError(f"no such frame; last {self.frames[-3:]}")
 
     def run_to(self, at: float, kind: type[Message] = Message) -> list[Packet]:
-        """In lockstep: let the robot run to a time, and return all frames of a kind that it sends until then."""
+        """In lockstep, run the robot to a time, and return all frames of a type that it sends until then."""
         self.token += 1
         self.send(Ping(self.token), at)
         before = len(self.frames)
@@ -134,13 +134,13 @@ def wire_bytes() -> Bytes:
 
 
 class NoHosts:
-    """No host at all."""
+    """A port without hosts."""
 
     unread = 0
 
 
 class Rig:
-    """A board whose program is in "Python" or in "C", and an operator whose bytes take no time."""
+    """A board with a program in "Python" or "C", and an operator whose bytes take no time."""
 
     def __init__(self, robot: RobotDescription, program: str, *words: str, noise: bool = False) -> None:
         from surefoot.cli.emulate import EmulateCommand, _make_board
@@ -175,7 +175,7 @@ class Rig:
         self.send(Arm(ME, int(mode), 0.006, 0.006))
 
     def walk(self, steps: int, angles: np.ndarray | None = None) -> list[Packet]:
-        """Send commands, by default of one pose; what came."""
+        """Send commands, by default of a constant pose; return the received packets."""
         before = len(self.frames)
         for _ in range(steps):
             self.send(Position(ME, self.angles if angles is None else angles))
@@ -209,5 +209,5 @@ def rig(robot: RobotDescription, request: pytest.FixtureRequest) -> Callable[...
 
 @pytest.fixture
 def rigs() -> Callable[..., list[Rig]]:
-    """Give two boards of a robot that differ in the program alone."""
+    """Return two boards of a robot that differ only in their programs."""
     return lambda robot, *words, **more: [Rig(robot, program, *words, **more) for program in ("Python", "C")]

@@ -1,4 +1,4 @@
-"""Motion capture as a file that grows."""
+"""Motion capture in a growing file."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.board.signals import MotorOrder
+from surefoot.deploy.board.signals import MotorCommand
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.capture_writer import CaptureWriter
 from surefoot.emulator.plant import Plant
 from surefoot.errors import SurefootError
 
-DAMPED = MotorOrder(Mode.DISARMED, np.zeros(8))
+DAMPED = MotorCommand(Mode.DISARMED, np.zeros(8))
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def plant(robot) -> Plant:
 def run(capture: CaptureWriter, plant: Plant, steps: int) -> None:
     for _ in range(steps):
         plant.step(DAMPED)
-        capture.see(plant.ticks * 1000)
+        capture.update(plant.ticks * 1000)
 
 
 @pytest.mark.parametrize("later", [False, True])
@@ -42,10 +42,10 @@ def test_rows_have_full_precision(plant, tmp_path, later):
     last = [float(word) for word in rows[-1].split(",")]
     assert last[:4] == [0.1, *seen.position.tolist()]
     np.testing.assert_allclose(last[4:8], seen.quat, atol=1e-15)
-    assert last[8:] == [1.0] * 4  # it has not slid yet
+    assert last[8:] == [1.0] * 4  # it has not moved yet
 
 
-def test_capture_writer_refuses_an_unwritable_file_at_once(plant, tmp_path):
+def test_capture_writer_rejects_an_unwritable_file_at_once(plant, tmp_path):
     (tmp_path / "a.csv").write_text("mine")
     with pytest.raises(SurefootError, match="exists; give another name"):
         CaptureWriter(tmp_path / "a.csv", plant)
@@ -54,10 +54,10 @@ def test_capture_writer_refuses_an_unwritable_file_at_once(plant, tmp_path):
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full disk here")
-def test_a_full_disk_ends_the_recording_and_not_the_robot(plant, tmp_path):
+def test_a_full_disk_ends_the_recording_but_not_the_run(plant, tmp_path):
     capture = CaptureWriter(tmp_path / "a.csv", plant)
     capture.file._file = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115
     run(capture, plant, 20)
-    assert capture.file.stopped == "No space left on device"
+    assert capture.file.error == "No space left on device"
     assert plant.ticks == 20
     capture.close()

@@ -1,4 +1,4 @@
-"""Faults by name: how they are requested, and what some do to a running robot.
+"""Faults by name: how they are requested, and the effects of some on a running robot.
 
 `tests/deploy/test_fault_table.py` and `tests/cli/test_doctor_cli.py` test the others.
 """
@@ -21,7 +21,7 @@ from surefoot.errors import SurefootError
 ME = 7
 
 
-def test_faults_are_parsed_from_words():
+def test_faults_are_parsed():
     faults = parse_faults(["drop=0.2", "unplug=1.5", "battery-low=13@3.5", "other-robot", "hang", "corrupt@2"])
     assert list(faults) == ["drop", "unplug", "battery-low", "other-robot", "hang", "corrupt"]
     assert (faults["drop"].value, faults["drop"].start) == (0.2, 0.0)
@@ -35,35 +35,35 @@ def test_faults_are_parsed_from_words():
 @pytest.mark.parametrize(
     ("word", "message"),
     [
-        ("melt", "'melt' is no fault; choices: corrupt, drop"),
-        ("drop=2", r"fault drop is 2; it must be 0 to 1 \(unit: chance a frame\)"),
+        ("melt", "'melt' is not a fault; choices: corrupt, drop"),
+        ("drop=2", r"fault drop is 2; it must be 0 to 1 \(unit: probability per frame\)"),
         ("drop=-1", "fault drop is -1; it must be 0 to 1"),
-        ("drop=x", "fault 'drop=x' gives no number; write NAME, NAME=VALUE or NAME=VALUE@TIME"),
-        ("drop=nan", "gives no number"),
-        ("drop=", "gives no number"),
+        ("drop=x", "fault 'drop=x' has no valid number; write NAME, NAME=VALUE or NAME=VALUE@TIME"),
+        ("drop=nan", "has no valid number"),
+        ("drop=", "has no valid number"),
         ("drop@-1", "fault drop begins at -1 s; it must be 0 or more"),
         ("unplug=-1", r"fault unplug is -1; it must be 0 or more \(unit: s after arming\)"),
-        ("unplug@2", "fault unplug takes its time as unplug=TIME; 'unplug@2' gives another"),
-        ("other-robot=3", "fault other-robot takes no number; 'other-robot=3' gives one"),
+        ("unplug@2", "fault unplug has its time as value, unplug=TIME; 'unplug@2' gives another"),
+        ("other-robot=3", "fault other-robot has no value; 'other-robot=3' gives one"),
         ("flip-sign=8", "fault flip-sign is 8; it must be 0 to 7"),
         ("swap-motors=7", "fault swap-motors is 7; it must be 0 to 6"),
         ("flip-sign=0.5", "fault flip-sign is 0.5; it must be a whole number"),
     ],
 )
-def test_a_fault_that_does_not_exist_or_a_number_out_of_range_is_refused(word, message):
+def test_unknown_faults_and_values_out_of_range_are_rejected(word, message):
     with pytest.raises(SurefootError, match=message):
         parse_faults([word])
 
 
-def test_duplicate_faults_and_faults_of_the_other_clock_are_refused():
+def test_duplicate_faults_and_faults_of_the_other_clock_are_rejected():
     with pytest.raises(SurefootError, match="fault drop is given twice"):
         parse_faults(["drop", "drop=0.1"])
     for name in ("batching", "overload"):
-        with pytest.raises(SurefootError, match=f"fault {name} is about real time; it does not go with --lockstep"):
+        with pytest.raises(SurefootError, match=f"fault {name} concerns real time; it cannot be used with --lockstep"):
             parse_faults([name], lockstep=True)
 
 
-def test_a_link_has_the_faults_of_what_it_has():
+def test_a_link_supports_the_faults_of_its_targets():
     assert set(LINKS) == {"serial", "dds"}
     for name, kind in FAULTS.items():
         for link, targets in LINKS.items():
@@ -71,7 +71,7 @@ def test_a_link_has_the_faults_of_what_it_has():
                 assert list(parse_faults([name], motors=12, link=link)) == [name]
             else:
                 (other,) = kind.links
-                message = f"fault {name} acts on {kind.target}; --link {link} does not have that, give --link {other}"
+                message = f"fault {name} acts on {kind.target}, which --link {link} does not have; give --link {other}"
                 with pytest.raises(SurefootError, match=message):
                     parse_faults([name], motors=12, link=link)
 
@@ -90,10 +90,10 @@ def test_one_to_three_bits_are_flipped_and_none_before_the_first():
 def test_every_fault_is_described():
     lines = describe()
     assert len(lines) == len(FAULTS)
-    assert lines[1] == "drop=0.05 (chance a frame): frames are lost"
+    assert lines[1] == "drop=0.05 (probability per frame): frames are lost"
 
 
-def test_line_faults_begin_each_at_its_time(rig):
+def test_each_line_fault_starts_at_its_time(rig):
     bench = rig("drop=1@0.1", "duplicate=1")
     bench.arm()
     bench.walk(16)
@@ -122,7 +122,7 @@ def test_a_flipped_imu_exchanges_or_negates_roll_and_pitch(rig, way, signs):
     np.testing.assert_allclose([roll, pitch], expected, rtol=1e-6)
 
 
-def test_a_reboot_forgets_the_operator(rig):
+def test_a_reboot_ends_the_session(rig):
     bench = rig("reboot=0.1")
     bench.arm()
     bench.walk(16)
@@ -152,6 +152,6 @@ def test_a_hang_makes_commands_stale_or_ends_with_a_restart(rig):
         assert bench.board._booted - BOOT_TIME - armed_at - 100_000 == pytest.approx(21_000, abs=1000)
         return
     assert sent == []
-    # Then all that has come meanwhile is heard at once: the oldest of it is too old.
+    # Then all data that have arrived are processed at once: the oldest commands are too old.
     assert bench.board.firmware.mode == Mode.FAULT
     assert bench.board.firmware.reason in (Reason.STALE, Reason.TIMEOUT)

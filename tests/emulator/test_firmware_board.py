@@ -1,4 +1,4 @@
-"""A board whose program is the firmware in C: it moves the robot as the program in Python does."""
+"""An emulated board with the firmware in C moves the robot like the program in Python."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from firmware import fuzz
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
-from surefoot.deploy.board.signals import MotorOrder, Sensors
+from surefoot.deploy.board.signals import MotorCommand, Sensors
 from surefoot.deploy.messages import (
     Arm,
     Fault,
@@ -74,12 +74,12 @@ def test_both_programs_move_the_robot_alike(rigs, robot_name, words):
         np.testing.assert_allclose(one, other, atol=tolerance)
     for name in ("mode", "reason", "command_age", "dropped", "voltage"):
         assert [getattr(state, name) for state in states[0]] == [getattr(state, name) for state in states[1]]
-    # The firmware adds up the work by what it reads, a servo latency late.
+    # The firmware integrates the work from its readings, which have the servo latency.
     assert states[1][-1].energy == pytest.approx(states[0][-1].energy, rel=0.02)
 
 
 class Direct:
-    """The firmware of a Minitaur alone, and an operator; a servo step at each call of `tick`."""
+    """The firmware of a Minitaur without a body, and an operator; one servo step per call of `tick`."""
 
     def __init__(self, robot: RobotDescription) -> None:
         self.firmware, self.now, self.number = FirmwareProcess(compiled(robot), "minitaur", 8), 0, 0
@@ -124,7 +124,7 @@ def test_its_servos_are_proportional_and_derivative_and_damped_motors_brake(dire
         ("motor_velocity", [0.0, np.inf, *[0.0] * 6], Reason.NOT_FINITE),
     ],
 )
-def test_a_reading_beyond_its_limit_or_no_number_damps(direct, name, value, reason):
+def test_a_reading_beyond_its_limit_or_not_finite_damps(direct, name, value, reason):
     direct.arm(Mode.PWM)
     direct.send(Pwm(ME, EIGHT + 0.5))
     np.testing.assert_array_equal(direct.tick(), EIGHT + 0.5)
@@ -134,7 +134,7 @@ def test_a_reading_beyond_its_limit_or_no_number_damps(direct, name, value, reas
     assert (np.abs(effort) <= (1.0 if name == "motor_velocity" else 0.1)).all()
 
 
-def test_a_program_that_is_no_firmware_of_the_robot_is_refused(robot, tmp_path, capsys):
+def test_a_program_that_is_not_firmware_of_the_robot_is_rejected(robot, tmp_path, capsys):
     quiet = tmp_path / "quiet"
     quiet.write_text("#!/bin/sh\nexit 3\n")
     with pytest.raises(SurefootError, match="Permission denied"):
@@ -142,10 +142,10 @@ def test_a_program_that_is_no_firmware_of_the_robot_is_refused(robot, tmp_path, 
     quiet.chmod(0o755)
     with pytest.raises(SurefootError, match="has ended with code 3"):
         FirmwareProcess(quiet, "minitaur", 8)
-    with pytest.raises(SurefootError, match="is not one of robot solo8"):
+    with pytest.raises(SurefootError, match="is not for robot solo8"):
         FirmwareProcess(compiled(robot), "solo8", 8)
     words = ["--firmware", str(tmp_path / "none"), "--duration", "0.01"]
-    for more, message in (([], "No such file"), (["--set", "servo_kp=2"], "a firmware has its own, in its robot.h")):
+    for more, message in (([], "No such file"), (["--set", "servo_kp=2"], "a firmware has its own gains, in robot.h")):
         assert main(["emulate", *words, *more]) == 2
         error = capsys.readouterr().err
         assert error.count("\n") == 1
@@ -204,14 +204,14 @@ class Stm32:
                 effort = self.process.stdout.read(4 * plant.robot.num_motors)
                 if len(effort) < 4 * plant.robot.num_motors:
                     return
-                plant.step(MotorOrder(Mode.PWM, np.frombuffer(effort, "<f4").astype(float)))
+                plant.step(MotorCommand(Mode.PWM, np.frombuffer(effort, "<f4").astype(float)))
 
     def send(self, message: Message) -> None:
         self.number += 1
         self.line.sendall(encode_frame(Codec(8), message, self.number, time.monotonic() - self.start))
 
     def receive(self, wait: float) -> list[Packet]:
-        """Return what comes within a time [s]."""
+        """Return the data that arrive within a time [s]."""
         end, found = time.monotonic() + wait, []
         while select.select([self.line], [], [], max(end - time.monotonic(), 0.0))[0]:
             found += self.decoder.feed(self.line.recv(4096))
@@ -229,7 +229,7 @@ class Stm32:
 
     def begin(self) -> Any:
         """Connect; return the handshake."""
-        while not self.receive(0.1):  # what comes before it has started is lost
+        while not self.receive(0.1):  # data sent before it has started are lost
             self.send(Ping(3))
         self.send(Hello(ME, 0.020))
         return self.wait_for(Handshake)[0].message

@@ -1,4 +1,4 @@
-"""The emulated body: the motion of a simulation, and sensors, battery and heat worked out by hand."""
+"""The simulated body: motion as in a simulation, and sensors, battery and heat worked out by hand."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 pytest.importorskip("mujoco")
 
-from surefoot.deploy.board.signals import MotorOrder
+from surefoot.deploy.board.signals import MotorCommand
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.emulator.plant import Plant
@@ -19,7 +19,7 @@ from surefoot.world.ground import Ground
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
-DAMPED = MotorOrder(Mode.DISARMED, np.zeros(8))
+DAMPED = MotorCommand(Mode.DISARMED, np.zeros(8))
 
 
 def ideal(robot, **more) -> Plant:
@@ -33,14 +33,14 @@ def test_a_plant_sits_on_its_ground(robot):
     assert raised.capture().contact_ticks.sum() > 0
 
 
-def position(values) -> MotorOrder:
-    return MotorOrder(Mode.POSITION, np.asarray(values, float))
+def position(values) -> MotorCommand:
+    return MotorCommand(Mode.POSITION, np.asarray(values, float))
 
 
-def test_motion_and_readings_are_those_of_a_simulation_to_the_last_bit(robot):
+def test_motion_and_readings_are_identical_to_a_simulation(robot):
     plant = ideal(robot)
     plant.step(DAMPED)
-    # A simulation that goes on from the same state, with its servo on.
+    # A simulation that continues from the same state, with its servo on.
     world = SimWorld(robot, 1, config=WorldConfig(rest=(0.0, 0.9)))
     world.set_state(plant.world.get_state())
     set_actuation_params(world.actuation, np.arange(1), world.params)
@@ -62,7 +62,7 @@ def test_motion_and_readings_are_those_of_a_simulation_to_the_last_bit(robot):
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_tilt_or_a_temperature_that_is_no_number_is_seen(robot, axis):
+def test_nan_in_tilt_or_temperature_is_detected(robot, axis):
     plant = ideal(robot)
     plant.params.imu_bias[0, axis] = np.nan
     plant.temperature[axis] = np.nan
@@ -76,7 +76,7 @@ def test_it_sits_when_switched_on_and_lies_down_damped(robot):
     np.testing.assert_allclose(extension, 0.9, atol=0.1)
     for _ in range(1000):
         plant.step(DAMPED)
-    # The belly's box is .087 m high.
+    # The box of the belly is 0.087 m high.
     assert plant.capture().position[2] == pytest.approx(0.0435, abs=0.002)
     assert np.abs(plant.world.actuation.sample[0, 8:16]).max() < 1.0
 
@@ -96,7 +96,7 @@ def test_readings_have_the_control_latency_at_their_use(robot):
     for step in range(100):
         plant.step(position(robot.pose_angles(0.0, 0.9 + 0.01 * step)))
         seen.append(plant.vitals().motor_angle.copy())
-    # 20 ms when nobody is to come, 17 ms for a host that needs it 3 ms from now, halfway in between steps.
+    # 20 ms without a lead, 17 ms for a host that uses the readings in 3 ms, and times between steps.
     np.testing.assert_array_equal(plant.read(0.0, 0.0).motor_angle, seen[-21])
     np.testing.assert_allclose(plant.read(0.0, 0.003).motor_angle, seen[-18], atol=1e-12)
     halfway = (seen[-20] + seen[-21]) / 2
@@ -106,7 +106,7 @@ def test_readings_have_the_control_latency_at_their_use(robot):
     np.testing.assert_array_equal(plant.read(0.0, 0.0).motor_angle, seen[-31])
 
 
-def test_encoders_have_steps_and_sensors_noise_and_bias(robot):
+def test_encoders_are_quantized_and_sensors_have_noise_and_bias(robot):
     params = PhysicalParams.nominal(robot).with_values(robot, imu_bias=[[0.02, -0.03]], imu_noise=0.01)
     config = SensorConfig()
     plant = Plant(robot, params, sensors=config, rack=True)
@@ -124,7 +124,7 @@ def test_encoders_have_steps_and_sensors_noise_and_bias(robot):
     np.testing.assert_allclose(rates.std(0), config.gyro_noise, rtol=0.1)
     bias = rates.mean(0)
     assert 0 < np.abs(bias).max() < 4 * config.gyro_bias
-    # The same seed is the same robot; the truth has none of it.
+    # The same seed gives the same robot; the true state is not affected.
     again = Plant(robot, params, sensors=config, rack=True)
     np.testing.assert_array_equal(again.read(0.0, 0.0).motor_velocity, read[0].motor_velocity)
     assert not truth.read(0.0, 0.0).angular_velocity_base.any()
@@ -138,7 +138,7 @@ def test_torques_have_noise_and_a_constant_error_of_each_motor(robot):
         each.world.actuation.motor_torque[0] = np.linspace(-3.5, 3.5, 8)
     read = np.array([plant.read(0.0, 0.0).motor_torque for _ in range(4000)])
     np.testing.assert_allclose(read.std(0), config.torque_noise, rtol=0.1)
-    # The mean of 4000 is known to .02 / sqrt(4000) = .0003 N m.
+    # The standard error of the mean of 4000 is 0.02 / sqrt(4000) = 0.0003 N m.
     np.testing.assert_allclose(read.mean(0), constant.read(0.0, 0.0).motor_torque, atol=0.0015)
     for seed in range(12):
         plant = Plant(robot, seed=seed, sensors=replace(config, torque_noise=0.0), rack=True)
@@ -146,7 +146,7 @@ def test_torques_have_noise_and_a_constant_error_of_each_motor(robot):
             plant.world.actuation.motor_torque[0] = torque
             gains.append(plant.read(0.0, 0.0).motor_torque / torque)
         np.testing.assert_allclose(gains[-1], gains[-2], rtol=1e-12)
-    # 96 motors: the standard deviation is known to 7 % of itself.
+    # With 96 motors, the standard error of the standard deviation is 7 %.
     assert np.mean(gains) == pytest.approx(1.0, abs=4 * config.torque_gain / np.sqrt(96))
     assert np.std(gains) == pytest.approx(config.torque_gain, rel=0.2)
     assert len(np.unique(gains[0])) == 8
@@ -166,12 +166,12 @@ def test_the_error_of_torques_changes_no_other_reading(robot):
     np.testing.assert_array_equal(plant.capture().position, truth.capture().position)
 
 
-def test_a_motor_that_gets_a_duty_turns_as_a_dc_motor_does(robot):
+def test_a_motor_with_a_duty_turns_like_a_dc_motor(robot):
     plant = ideal(robot, rack=True)
     duty = np.zeros(8)
     duty[0] = 0.05
-    plant.step(MotorOrder(Mode.PWM, duty))
-    # At rest: I = duty V / R = .05 * 16 / .186 = 4.30 A, and the table gives .1 N m/A.
+    plant.step(MotorCommand(Mode.PWM, duty))
+    # At rest: I = duty V / R = 0.05 * 16 / 0.186 = 4.30 A, and the table has 0.1 N m/A.
     torque = plant.world.actuation.motor_torque[0]
     speed = plant.world.actuation.sample[0, 8:16]
     assert torque[0] == pytest.approx(0.05 * 16 / 0.186 * 0.1, rel=0.02)
@@ -182,7 +182,7 @@ def test_a_motor_that_gets_a_duty_turns_as_a_dc_motor_does(robot):
 
 
 def test_viscous_friction_slows_a_motor_that_a_duty_turns(robot):
-    # Only one motor has it: there the shaft gets b qdot less than the motor gives.
+    # Only one motor has friction: its shaft gets b qdot less than the motor's torque.
     params = PhysicalParams.nominal(robot).with_values(robot, motor_viscous_friction=[0.1] + [0.0] * 7)
     plant, free = ideal(robot, rack=True, params=params), ideal(robot, rack=True)
     duty = np.zeros(8)
@@ -190,16 +190,16 @@ def test_viscous_friction_slows_a_motor_that_a_duty_turns(robot):
     for _ in range(20):
         speed = plant.world.actuation.sample[0, 8:16].copy()
         for each in (plant, free):
-            each.step(MotorOrder(Mode.PWM, duty))
+            each.step(MotorCommand(Mode.PWM, duty))
     actuation = plant.world.actuation
     assert 0.1 < actuation.sample[0, 8] < 0.8 * free.world.actuation.sample[0, 8]
     np.testing.assert_allclose(actuation.motor_torque[0, 0] - actuation.torque[0, 0], 0.1 * speed[0], rtol=1e-9)
     np.testing.assert_array_equal(actuation.motor_torque[0, 1:], actuation.torque[0, 1:])
 
 
-def test_a_duty_is_part_of_the_state_of_a_world_and_gone_after_a_reset(robot):
+def test_a_duty_is_part_of_the_world_state_and_cleared_by_a_reset(robot):
     plant, other = ideal(robot, rack=True), ideal(robot, rack=True)
-    turning = MotorOrder(Mode.PWM, np.full(8, 0.03))
+    turning = MotorCommand(Mode.PWM, np.full(8, 0.03))
     plant.step(turning)
     other.world.set_state(plant.world.get_state())
     for world in (plant.world, other.world):
@@ -209,9 +209,9 @@ def test_a_duty_is_part_of_the_state_of_a_world_and_gone_after_a_reset(robot):
     assert not plant.world.actuation.duty.any()
 
 
-def test_battery_and_heat_by_hand(robot):
+def test_battery_and_heat_agree_with_a_calculation_by_hand(robot):
     temperature = np.array([25.0, 65.0])
-    # 1.45 N m is 15 A of the nominal motor; with half the strength .725 N m is. Speed 10 rad/s, K_t .1, R .2.
+    # 1.45 N m is 15 A of the nominal motor; with half the strength 0.725 N m is. Speed 10 rad/s, K_t 0.1, R 0.2.
     actuation = new_actuation(robot, 1, 1, WorldConfig())._replace(
         motor_torque=np.array([[0.725, -0.5]]),
         sample=np.array([[0.0, 0.0, 10.0, 0.0]]),
@@ -224,13 +224,13 @@ def test_battery_and_heat_by_hand(robot):
     )
     power = PowerConfig(ambient=25.0, heat_capacity=80.0, heat_resistance=2.0)
     current = power_tick(actuation, power, 0.001, temperature)
-    # Motor 1: R I^2 = 45 W and K_t w I = 15 W. Motor 2 stands: -10 A, 20 W of heat. 80 W from 16 V.
+    # Motor 1: R I^2 = 45 W and K_t w I = 15 W. Motor 2 is at rest: -10 A, 20 W of heat. 80 W from 16 V.
     assert current == pytest.approx(5.0)
     # 45 W into 80 J/K; 20 W in and (65 - 25) / 2 W out.
     np.testing.assert_allclose(temperature, [25.0 + 45 / 80 * 0.001, 65.0])
 
 
-def test_heat_of_joint_actuators_by_hand():
+def test_heat_of_joint_actuators_agrees_with_a_calculation_by_hand():
     go2, temperature = RobotDescription.load("go2"), np.array([25.0, 65.0])
     actuation = new_actuation(go2, 1, 1, WorldConfig())
     assert actuation.joint[0]

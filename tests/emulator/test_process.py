@@ -1,4 +1,4 @@
-"""The emulator on a real pseudo-terminal: as a process, in real time and in lockstep."""
+"""The emulator on a real pseudo-terminal, as a process, in real time and in lockstep."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from compiled_firmware import compiled, needs_gcc
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
-from surefoot.deploy.board.signals import MotorOrder
+from surefoot.deploy.board.signals import MotorCommand
 from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
@@ -27,7 +27,7 @@ STEP = 0.006
 
 
 def follow(host, robot, seconds: float) -> list[float]:
-    """Go from the angles that the robot has to others, in real time; return times of the states, on its clock."""
+    """Move the robot to other angles in real time; return the times of its states on its clock [s]."""
     first = host.wait_for(State).message.motor_angle
     last = robot.pose_angles(0.0, 1.2)
     start, times = host.now(), []
@@ -51,7 +51,7 @@ def test_a_session_in_real_time(emulate, robot):
     assert (handshake.session, handshake.robot) == (ME, "minitaur")
     assert handshake.firmware.startswith("surefoot emulator ")
 
-    # States come at the period that was asked for, on the robot's clock.
+    # States have the requested period on the robot's clock.
     times = [host.wait_for(State).time for _ in range(30)]
     np.testing.assert_allclose(np.diff(times), 0.010, atol=0.0021)
 
@@ -70,14 +70,14 @@ def test_a_session_in_real_time(emulate, robot):
     assert "of robot time" in output
 
 
-def test_hosts_come_and_go_and_the_robot_never_blocks(emulate_here):
+def test_hosts_connect_and_leave_and_the_robot_never_blocks(emulate_here):
     emulator = emulate_here("--baud", "0", "--rack")
     for _ in range(3):
         emulator.host().send(Hello(ME, 0.001))
         time.sleep(0.02)
-    while not emulator.unread:  # nobody reads a kilohertz of states
+    while not emulator.unread:  # no host reads the states at 1 kHz
         time.sleep(0.01)
-    # Once there is room, the robot is heard again.
+    # Once there is room, states arrive again.
     reader = emulator.host()
     while reader.receive():
         pass
@@ -88,7 +88,7 @@ def test_hosts_come_and_go_and_the_robot_never_blocks(emulate_here):
 @pytest.mark.parametrize(("number", "words"), [(signal.SIGINT, ["--lockstep"]), (signal.SIGHUP, ["--rack"])])
 def test_a_signal_ends_the_emulator_and_removes_its_link(emulate, tmp_path, number, words):
     link, seen = tmp_path / "robot", tmp_path / "seen.csv"
-    # Whoever runs the tests without a terminal may ignore hangups, and children inherit that.
+    # Without a terminal, hangups may be ignored, and child processes inherit that.
     before = signal.signal(number, signal.SIG_DFL)
     try:
         process = emulate("--symlink", str(link), "--out", str(seen), *words)
@@ -99,7 +99,7 @@ def test_a_signal_ends_the_emulator_and_removes_its_link(emulate, tmp_path, numb
         host = process.host()
         host.send(Hello(ME, 0.010), 0.0)
         host.run_to(0.5)
-        assert len(seen.read_text().splitlines()) == 101  # each row is written as it happens
+        assert len(seen.read_text().splitlines()) == 101  # each row is written immediately
     process.process.send_signal(number)
     process.process.wait(timeout=20)
     code, output = process.stop()
@@ -115,9 +115,9 @@ def test_the_emulator_reports_when_it_cannot_keep_real_time(capsys):
     assert "slipped 0 times" not in lines[-1]
 
 
-def test_in_lockstep_time_is_that_of_the_frames(emulate_here):
+def test_in_lockstep_time_follows_the_frames(emulate_here):
     host = emulate_here("--lockstep").host()
-    # Robot time begins with the first frame.
+    # Robot time starts with the first frame.
     host.send(Hello(ME, 0.010), 5.0)
     output = host.run_to(6.0)
     assert isinstance(output[0].message, Handshake)
@@ -125,7 +125,7 @@ def test_in_lockstep_time_is_that_of_the_frames(emulate_here):
         [f.time for f in output if isinstance(f.message, State)], np.arange(1, 101) / 100, atol=1e-9
     )
     assert output[-1].time == 1.0
-    # A time that goes back leaves the robot's where it is.
+    # A decreasing time does not change robot time.
     assert host.run_to(5.5)[-1].time == 1.0
     assert [f.time for f in host.run_to(6.012, State)] == [1.01]
 
@@ -136,7 +136,7 @@ def test_in_lockstep_the_robot_moves_as_a_simulation_does(emulate_here, robot):
     host.send(Hello(ME, 0.010), 0.0)
     host.run_to(0.030)
     for _ in range(30):
-        plant.step(MotorOrder(Mode.DISARMED, np.zeros(8)))
+        plant.step(MotorCommand(Mode.DISARMED, np.zeros(8)))
     world = SimWorld(robot, 1, config=WorldConfig(rest=(0.0, 0.9)))
     world.set_state(plant.world.get_state())
     set_actuation_params(world.actuation, np.arange(1), world.params)
@@ -163,7 +163,7 @@ def test_in_lockstep_a_second_host_may_have_another_clock(emulate_here):
     second = process.host()
     second.send(Hello(OTHER, 0.010), 0.5)
     assert [frame.message.reason for frame in second.run_to(0.5, Fault)] == [Reason.BUSY]
-    # Its own clock goes on; after a second without the first one it has the robot.
+    # Its own clock advances; after a second of silence of the first operator, it gets the robot.
     for at in (1.0, 1.5, 2.0):
         second.send(Hello(OTHER, 0.010), at)
     output = second.run_to(2.0)
@@ -183,29 +183,29 @@ def armed_in_lockstep(process):
 
 @pytest.fixture(params=["Python", pytest.param("C", marks=needs_gcc)])
 def program(request, robot) -> list[str]:
-    """Options of the emulator for a program of the microcontroller."""
+    """Return options of the emulator for a program of the microcontroller."""
     return ["--firmware", str(compiled(robot))] if request.param == "C" else []
 
 
-def test_in_lockstep_a_host_that_is_gone_loses_the_robot(emulate_here, program):
+def test_in_lockstep_a_host_that_has_left_loses_the_robot(emulate_here, program):
     process = emulate_here("--lockstep", *program)
     first = armed_in_lockstep(process)
     process.hosts.remove(first)
-    first.send(Ping(9), 0.030)  # its last words are heard
+    first.send(Ping(9), 0.030)  # its last message is received
     first.close()
-    while process.board.firmware.is_taken(process.board.now):
+    while process.board.firmware.has_operator(process.board.now):
         time.sleep(0.005)
     second = process.host()
     second.send(Hello(OTHER, 0.010), 7.0)
     second.run_to(7.010)
     (handshake,) = (frame for frame in second.frames if isinstance(frame.message, Handshake))
-    # The watchdog saw to the motors, and a second of silence to the operator, in robot time.
+    # In robot time, the watchdog damped the motors, and a second of silence ended the session.
     assert handshake.time == pytest.approx(0.030 + 1.0, abs=0.011)
     state = second.run_to(7.020, State)[-1].message
     assert (state.session, state.mode, state.reason) == (OTHER, Mode.DISARMED, Reason.TIMEOUT)
 
 
-def test_in_lockstep_a_host_that_is_slow_keeps_the_robot(emulate_here, program):
+def test_in_lockstep_a_slow_host_keeps_the_robot(emulate_here, program):
     process = emulate_here("--lockstep", *program)
     first = armed_in_lockstep(process)
     second = process.host()
@@ -214,12 +214,12 @@ def test_in_lockstep_a_host_that_is_slow_keeps_the_robot(emulate_here, program):
         assert second.wait_for(Fault).message.reason == Reason.BUSY
     second.close()
     process.hosts.remove(second)
-    # Neither the stranger's clock nor that on the wall is the robot's.
+    # Robot time follows neither the other operator's clock nor real time.
     (state,) = first.run_to(0.026, State)
     assert (state.time, state.message.session, state.message.mode) == (0.022, ME, Mode.POSITION)
 
 
-def test_in_bullet_too(emulate_here, robot):
+def test_the_plant_also_runs_in_bullet(emulate_here, robot):
     pytest.importorskip("pybullet")
     host = emulate_here("--lockstep", "--world", "bullet").host()
     host.send(Hello(ME, 0.010), 0.0)

@@ -1,4 +1,4 @@
-"""A robot that is driven: commands, parameters and pushes in a running simulation, and what is refused."""
+"""Driven robots: commands, parameters and pushes in a running simulation, recordings, and rejected input."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ pytest.importorskip("mujoco")
 
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.errors import SurefootError
-from surefoot.evaluation.command_runs import FIXED, DrivenRobot
-from surefoot.evaluation.recorded import ground_of
+from surefoot.evaluation.command_runs import FIXED_PARAMETERS, DrivenRobot
+from surefoot.evaluation.recorded import ground_for_trace
 from surefoot.robot.params import PARAMETERS
 from surefoot.task.randomized_params import RandomizedParams
 
@@ -34,34 +34,34 @@ def robot(go2: DrivenRobot) -> DrivenRobot:
 
 
 def run(robot: DrivenRobot, seconds: float) -> np.ndarray:
-    """Return the velocities of some time [s]."""
+    """Run for some time [s] and return the velocities."""
     return np.array([robot.step().velocity for _ in range(round(seconds / robot.step_time))])
 
 
-def test_terrain_is_that_of_the_robot_and_of_what_is_recorded():
+def test_robot_and_recording_have_the_chosen_terrain():
     policy, _, task, _ = load_gait(find_policy("go2-steer"), None)
     robot = DrivenRobot(policy, task, "mujoco", "blocks:0.03")
     recording = robot.record("go2-steer")
     robot.step()
     trace = recording.trace()
     assert trace.meta["terrain"] == "blocks:0.03"
-    np.testing.assert_array_equal(ground_of(trace).corners, robot.env.state.ground.corners)
+    np.testing.assert_array_equal(ground_for_trace(trace).corners, robot.env.state.ground.corners)
     assert robot.env.state.ground.corners.max() > 0.02
 
 
-def test_a_command_is_cut_to_the_limits_and_followed(robot: DrivenRobot):
+def test_a_command_is_clamped_to_the_limits_and_followed(robot: DrivenRobot):
     assert robot.limits is not None
     top = robot.limits.forward[1]
     robot.command([10.0, 0.0, 0.0])
     run(robot, 2.0)
     assert robot.rows[-1].command[0] == pytest.approx(top)
     assert run(robot, 1.0)[:, 0].mean() == pytest.approx(top, rel=0.2)
-    # An episode that starts begins with standing.
+    # An episode begins with standing.
     robot.restart()
     assert robot.step().command[0] == 0.0
 
 
-def test_turning_is_the_third_number(robot: DrivenRobot):
+def test_the_third_command_is_the_yaw_rate(robot: DrivenRobot):
     robot.command([0.0, 0.0, 0.8])
     run(robot, 1.5)
     before = robot.env.state.truth.roll_pitch_yaw[0, 2]
@@ -71,7 +71,7 @@ def test_turning_is_the_third_number(robot: DrivenRobot):
     assert turned.mean() == pytest.approx(0.8, abs=0.15)
 
 
-def test_a_push_has_its_duration_and_turns_with_the_heading(robot: DrivenRobot):
+def test_a_push_lasts_its_duration_in_the_heading_frame(robot: DrivenRobot):
     robot.command([0.0, 0.0, 1.0])
     run(robot, 1.6)
     robot.command([0.0, 0.0, 0.0])
@@ -80,44 +80,44 @@ def test_a_push_has_its_duration_and_turns_with_the_heading(robot: DrivenRobot):
     assert abs(yaw) > 0.8
     robot.push([0.0, 100.0, 0.0], 0.1)
     speed = run(robot, 0.1)[-1]
-    # 100 N for .1 s give 16 kg a sideways speed of .6 m/s, less what feet on the ground take.
+    # 100 N for 0.1 s give 16 kg a sideways speed of 0.6 m/s, minus the effect of feet on the ground.
     assert 0.2 < speed[1] < 0.65
     assert abs(speed[0]) < 0.15
-    # After its end the feet stop the robot.
+    # After the push the feet stop the robot.
     assert np.abs(run(robot, 1.5)[-20:, 1]).mean() < 0.1
 
 
 @pytest.mark.parametrize("force", [[np.nan, 0, 0], [0, 0, 1e9], [1, 2]])
-def test_push_refuses_forces_and_durations_out_of_bounds(robot: DrivenRobot, force: list[float]):
+def test_push_rejects_forces_and_durations_out_of_bounds(robot: DrivenRobot, force: list[float]):
     with pytest.raises(SurefootError, match="push: must be up to 2000 N"):
         robot.push(force, 0.1)
     with pytest.raises(SurefootError, match="up to 10 s"):
         robot.push([1.0, 0.0, 0.0], 11.0)
 
 
-def test_every_knob_returns_the_value_that_was_set(robot: DrivenRobot):
-    knobs = robot.knobs()
-    assert not {knob.name for knob in knobs} & set(FIXED)
-    for knob in knobs:
-        value = float(np.clip(1.1 * knob.value + 1e-3, knob.low, knob.high))
-        robot.set(knob.name, value)
-        now = next(one.value for one in robot.knobs() if one.name == knob.name)
-        assert now == pytest.approx(value, rel=1e-9), knob.name
-        robot.set(knob.name, knob.value)
+def test_every_live_parameter_returns_the_value_that_was_set(robot: DrivenRobot):
+    parameters = robot.live_parameters()
+    assert not {parameter.name for parameter in parameters} & set(FIXED_PARAMETERS)
+    for parameter in parameters:
+        value = float(np.clip(1.1 * parameter.value + 1e-3, parameter.low, parameter.high))
+        robot.set(parameter.name, value)
+        now = next(one.value for one in robot.live_parameters() if one.name == parameter.name)
+        assert now == pytest.approx(value, rel=1e-9), parameter.name
+        robot.set(parameter.name, parameter.value)
     robot.step()
 
 
 def names(robot: DrivenRobot) -> set[str]:
-    return {knob.name.partition(".")[0] for knob in robot.knobs()}
+    return {parameter.name.partition(".")[0] for parameter in robot.live_parameters()}
 
 
-def test_knobs_are_what_motors_and_engine_have(robot: DrivenRobot):
+def test_live_parameters_are_those_of_motors_and_engine(robot: DrivenRobot):
     bullet_only = {name for name, declared in PARAMETERS.items() if declared.engines}
     assert bullet_only == {"knee_friction", "knee_play", "floor_unevenness"}
     joint = {"voltage", "torque_constant", "resistance"}
-    assert names(robot) == set(PARAMETERS) - set(FIXED) - bullet_only - joint
-    assert {knob.group for knob in robot.knobs()} == {"body", "motors", "contact", "sensors"}
-    units = {knob.name: knob.unit for knob in robot.knobs()}
+    assert names(robot) == set(PARAMETERS) - set(FIXED_PARAMETERS) - bullet_only - joint
+    assert {parameter.group for parameter in robot.live_parameters()} == {"body", "motors", "contact", "sensors"}
+    units = {parameter.name: parameter.unit for parameter in robot.live_parameters()}
     assert [units[name] for name in ("servo_kp", "base_mass_ratio", "contact_friction", "imu_bias.roll")] == [
         *("N m/rad", "x nominal", "", "rad")
     ]
@@ -125,19 +125,19 @@ def test_knobs_are_what_motors_and_engine_have(robot: DrivenRobot):
         robot.set("knee_play", 0.0)
 
 
-def test_constraint_motors_have_no_knobs_of_a_servo():
+def test_constraint_motors_have_no_servo_parameters():
     robot = driven("steer", actuator="constraint")
     assert not names(robot) & {"servo_latency", "load_friction", "speed_filter", "presliding"}
-    assert {knob.name: knob.unit for knob in robot.knobs()}["servo_kp"] == "1/rad"
+    assert {parameter.name: parameter.unit for parameter in robot.live_parameters()}["servo_kp"] == "1/rad"
 
 
-def test_bullet_has_knobs_of_its_own():
+def test_bullet_has_parameters_of_its_own():
     pytest.importorskip("pybullet")
     assert {"knee_friction", "knee_play", "floor_unevenness"} < names(driven("go2-steer", "bullet"))
 
 
 @pytest.mark.parametrize(("name", "value"), [("speed", 1.0), ("control_step", 0.01), ("base_mass_ratio", 99.0)])
-def test_set_refuses_an_unknown_knob_and_a_value_out_of_bounds(robot: DrivenRobot, name: str, value: float):
+def test_set_rejects_an_unknown_parameter_and_a_value_out_of_bounds(robot: DrivenRobot, name: str, value: float):
     before = robot.env.world.params
     with pytest.raises(SurefootError, match=name):
         robot.set(name, value)
@@ -146,14 +146,14 @@ def test_set_refuses_an_unknown_knob_and_a_value_out_of_bounds(robot: DrivenRobo
     )
 
 
-def test_motors_that_differ_keep_their_ratios():
+def test_different_motors_keep_their_ratios():
     robot = driven("pupper_v2-trot")
     kp = robot.env.nominal.servo_kp[0]
     robot.set("servo_kp", 2.0 * float(kp.mean()))
     assert robot.env.world.params.servo_kp[0] == pytest.approx(2.0 * kp)
 
 
-def test_a_robot_that_fell_lies_for_a_while_and_starts_again(robot: DrivenRobot):
+def test_a_fallen_robot_is_reset_after_a_while(robot: DrivenRobot):
     falls, restarts = robot.falls, robot.restarts
     robot.push([0.0, 1500.0, 0.0], 0.3)
     run(robot, 1.2)
@@ -164,14 +164,14 @@ def test_a_robot_that_fell_lies_for_a_while_and_starts_again(robot: DrivenRobot)
     assert np.abs(robot.env.state.truth.roll_pitch_yaw[0, :2]).max() < 0.2
 
 
-def test_neither_pushes_nor_ranges_of_the_task_act():
+def test_pushes_and_randomization_of_the_task_are_off():
     robot = driven("go2-trot-robust")
     run(robot, 1.0)
     assert not any(isinstance(one, RandomizedParams) for one in robot.env.components)
     assert not np.any(robot.env.state.push_force)
 
 
-def test_a_policy_without_commands_takes_none():
+def test_a_policy_without_commands_rejects_commands():
     robot = driven("go2-trot")
     assert robot.limits is None
     with pytest.raises(SurefootError, match="this policy follows no commands"):
@@ -200,7 +200,7 @@ def test_a_recording_is_a_trace_with_its_pushes_and_ends_with_a_restart(robot: D
     assert pushed.max() == pytest.approx(force)
 
 
-def test_a_recording_ends_with_a_fall_and_at_its_greatest_length(robot: DrivenRobot, monkeypatch: pytest.MonkeyPatch):
+def test_a_recording_ends_with_a_fall_and_at_its_maximum_length(robot: DrivenRobot, monkeypatch: pytest.MonkeyPatch):
     recording = robot.record("go2-steer")
     with pytest.raises(SurefootError, match="no control step was recorded"):
         recording.trace()

@@ -1,4 +1,4 @@
-"""Conditions: each field changes what it names, and nothing else of a policy's task."""
+"""Evaluation conditions: each field changes only its part of a policy's task."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.conditions import Condition, away_task, episode_duration, home_task
+from surefoot.evaluation.conditions import Condition, data_sheet_task, episode_duration, undisturbed_task
 from surefoot.robot import RobotDescription
 from surefoot.task.config import load_task
 from surefoot.task.pushes import PushConfig
@@ -27,7 +27,7 @@ TASK = replace(
 TASK = replace(TASK, commands=replace(TASK.commands, ramp=4))
 
 
-def test_without_any_difference_the_robot_is_nominal_and_nothing_pushes_it():
+def test_by_default_the_robot_is_nominal_and_not_pushed():
     calm = replace(TASK.pushes, enabled=False, ramp=0, probability=1.0)
     plain = replace(TASK, randomize={}, randomize_ramp=0, pushes=calm, commands=replace(TASK.commands, ramp=0))
     assert Condition(terrain=None).apply(TASK, ROBOT) == plain
@@ -53,14 +53,14 @@ def test_without_any_difference_the_robot_is_nominal_and_nothing_pushes_it():
         (Condition(duration=1.6, params={"control_step": 0.008}), {"max_steps": 200}),
     ],
 )
-def test_a_condition_changes_what_it_names(condition: Condition, changes: dict[str, object]):
+def test_a_condition_changes_only_its_fields(condition: Condition, changes: dict[str, object]):
     plain, changed = Condition().apply(TASK, ROBOT), condition.apply(TASK, ROBOT)
     assert {name: getattr(changed, name) for name in changes} == changes
     allowed = {*changes, "params"}
     assert replace(changed, **{name: getattr(plain, name) for name in allowed}) == plain
 
 
-def test_commands_come_from_a_file_to_its_end_or_are_one_for_each_episode(tmp_path: Path):
+def test_commands_come_from_a_whole_file_or_are_constant_per_episode(tmp_path: Path):
     own = episode_duration(TASK)
     for end, duration in ((1.0, own), (own, own + 2.0)):
         (tmp_path / "way.csv").write_text(f"time,forward,sideways,yaw_rate\n0,0.5,0,0\n{end},0,0,0\n")
@@ -73,20 +73,20 @@ def test_commands_come_from_a_file_to_its_end_or_are_one_for_each_episode(tmp_pa
         Condition(commands=tmp_path / "way.csv").apply(trot, ROBOT)
 
 
-def test_robots_with_commands_are_turned_on_terrain():
+def test_robots_with_commands_start_with_random_headings_on_terrain():
     assert Condition(terrain="slope:10").apply(TASK, ROBOT).terrain.heading == 180.0
     assert Condition(terrain="slope:10").apply(load_task("trot", "go2")[0], ROBOT).terrain.heading == 0.0
     with pytest.raises(SurefootError, match="size is 9 m"):
         Condition(terrain="stairs:9").apply(TASK, ROBOT)
 
 
-def test_the_home_task_has_no_randomization_and_no_pushes():
-    home = home_task(TASK)
+def test_the_undisturbed_task_has_no_randomization_and_no_pushes():
+    home = undisturbed_task(TASK)
     assert (home.randomize, home.pushes) == ({}, replace(TASK.pushes, enabled=False))
     assert replace(home, randomize=TASK.randomize, pushes=TASK.pushes) == TASK
 
 
-def test_the_away_task_is_on_the_robot_of_the_data_sheet():
+def test_the_data_sheet_task_has_the_robot_of_the_data_sheet():
     ideal = replace(TASK, actuator="constraint", params_source={"file": "robot.toml"})
-    away = replace(home_task(TASK), params={"servo_kp": 30.0, "control_step": 0.016}, params_source={})
-    assert away_task(ideal) == away
+    away = replace(undisturbed_task(TASK), params={"servo_kp": 30.0, "control_step": 0.016}, params_source={})
+    assert data_sheet_task(ideal) == away

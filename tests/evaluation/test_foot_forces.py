@@ -1,4 +1,4 @@
-"""Forces on feet from the torques of motors: by hand, by the principle of virtual work, and of robots that stand."""
+"""Ground reaction forces from motor torques: by hand, by the principle of virtual work, and of standing robots."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def feet(robot: RobotDescription, angles: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_motors_that_hold_a_force_do_no_work_with_it(name: str):
-    """Torques are made for a force by the power of slow movements, without the legs' jacobians."""
+def test_motor_torques_balance_a_force_by_virtual_work(name: str):
+    """Torques for a force are computed from the power of slow movements, without the legs' Jacobians."""
     robot = RobotDescription.load(name)
     angles = robot.resting_angles + np.array([[0.0], [0.05], [-0.1]])
     forces = np.tile([3.0, 0.0 if len(robot.coordinates) == 2 else -2.0, 11.0], (3, len(robot.legs), 1))
@@ -33,7 +33,7 @@ def test_motors_that_hold_a_force_do_no_work_with_it(name: str):
     np.testing.assert_allclose(foot_forces(robot, angles, torques), forces, atol=1e-5)
 
 
-def test_a_leg_whose_readings_are_missing_has_no_force():
+def test_a_leg_without_readings_has_no_force():
     robot = RobotDescription.load("go2")
     angles, torques = np.tile(robot.resting_angles, (2, 1)), np.ones((2, robot.num_motors))
     angles[0, robot.leg_motor_index[1, 0]] = torques[1, robot.leg_motor_index[2, 2]] = np.nan
@@ -50,7 +50,7 @@ def test_a_straight_leg_has_no_force_along_itself():
 
 
 @pytest.mark.parametrize(("name", "share"), [("minitaur", 0.90), ("go2", 0.94), ("pupper_v2", 0.81), ("solo8", 0.89)])
-def test_feet_of_a_robot_that_stands_carry_it_but_for_its_legs(name: str, share: float):
+def test_feet_of_a_standing_robot_carry_its_weight_without_the_legs(name: str, share: float):
     robot = RobotDescription.load(name)
     world = SimWorld(robot, 1)
     for _ in range(350):

@@ -1,4 +1,4 @@
-"""Footfalls: known gaits come back with their names, periods, duty factors and phases."""
+"""Footfalls: known gaits are recognized with their names, periods, duty factors and phases."""
 
 from __future__ import annotations
 
@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from surefoot.evaluation.footfalls import FEET, STANDS, Footfalls, analyze_footfalls, classify, stance_intervals
+from surefoot.evaluation.footfalls import (
+    FEET,
+    STANDING_REASON,
+    Footfalls,
+    analyze_footfalls,
+    classify,
+    stance_intervals,
+)
 
 STEP = 0.006
 PHASES = {  # by FEET: front_left, back_left, front_right, back_right
@@ -32,7 +39,7 @@ def contacts(
     jitter: float = 0.0,
     seed: int = 0,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return contact fractions (T, 4) and times of a gait; jitter is the sd of touchdowns in strides."""
+    """Return contact fractions (T, 4) and times of a gait; jitter is the standard deviation of touchdowns [strides]."""
     rng = np.random.default_rng(seed)
     fine = np.arange(round(seconds / 0.001)) * 0.001 + 0.0005  # servo steps
     touch = np.zeros((len(fine), len(phases)))
@@ -52,7 +59,7 @@ def analyzed(touch: NDArray[np.float64], time: NDArray[np.float64], names: Seque
 
 @pytest.mark.parametrize("gait", PHASES)
 @pytest.mark.parametrize("period", [0.15, 0.3, 0.5, 0.9])
-def test_known_gaits_come_back(gait: str, period: float) -> None:
+def test_known_gaits_are_recognized(gait: str, period: float) -> None:
     duty = 0.7 if gait == "walk" else 0.4
     feet = analyzed(*contacts(PHASES[gait], duty, period))
     assert feet.gait == gait, feet.reason
@@ -79,7 +86,7 @@ def test_jitter_and_chatter_do_not_change_the_name(gait: str, seed: int) -> None
     assert feet.stride_period == pytest.approx(0.4, rel=0.02)
 
 
-def test_names_go_by_leg_name_not_by_place() -> None:
+def test_gaits_depend_on_leg_names_not_on_their_order() -> None:
     touch, time = contacts(PHASES["pace"])
     order = [2, 1, 3, 0]
     feet = analyzed(touch[:, order], time, [FEET[i] for i in order])
@@ -102,13 +109,13 @@ def test_names_go_by_leg_name_not_by_place() -> None:
         ((0.0, 0.0, 0.2, 0.2), "other", "other"),
     ],
 )
-def test_patterns(phases: tuple[float, ...], gait: str, pattern: str) -> None:
+def test_patterns_of_known_phases(phases: tuple[float, ...], gait: str, pattern: str) -> None:
     feet = analyzed(*contacts(phases, duty=0.35))
     assert (feet.gait, feet.pattern) == (gait, pattern)
     assert bool(feet.reason) == (gait == "other")
 
 
-def test_walking_and_running_go_by_duty_factor() -> None:
+def test_walking_and_running_differ_by_duty_factor() -> None:
     assert analyzed(*contacts(PHASES["trot"], duty=0.6)).pattern == "walking trot"
     assert analyzed(*contacts(PHASES["trot"], duty=0.4)).pattern == "running trot"
     feet = analyzed(*contacts(PHASES["gallop"], duty=0.75))
@@ -118,7 +125,7 @@ def test_walking_and_running_go_by_duty_factor() -> None:
 
 @pytest.mark.parametrize("foot", range(4))
 @pytest.mark.parametrize(("value", "reason"), [(0.0, "never touches down"), (1.0, "never leaves the ground")])
-def test_a_foot_that_makes_no_steps_is_named(foot: int, value: float, reason: str) -> None:
+def test_the_reason_names_a_foot_without_steps(foot: int, value: float, reason: str) -> None:
     touch, time = contacts(PHASES["trot"])
     touch[:, foot] = value
     feet = analyzed(touch, time)
@@ -128,7 +135,7 @@ def test_a_foot_that_makes_no_steps_is_named(foot: int, value: float, reason: st
     assert feet.stride_period == pytest.approx(0.5, rel=0.01)
 
 
-def test_a_foot_that_skips_or_doubles_is_named() -> None:
+def test_the_reason_names_a_foot_that_skips_or_doubles_steps() -> None:
     touch, time = contacts(PHASES["trot"])
     skipping = touch.copy()
     skipping[time % 1.0 > 0.5, 1] = 0.0
@@ -145,7 +152,7 @@ def test_random_feet_have_no_gait() -> None:
         assert feet.reason
 
 
-def test_a_foot_that_drifts_has_low_concentration() -> None:
+def test_a_drifting_foot_has_low_concentration() -> None:
     touch, time = contacts(PHASES["trot"])
     slower, _ = contacts(PHASES["trot"], period=0.56)
     touch[:, 3] = slower[:, 3]
@@ -155,7 +162,7 @@ def test_a_foot_that_drifts_has_low_concentration() -> None:
     assert feet.concentration["back_right"] < 0.5 < feet.concentration["back_left"]
 
 
-def test_the_transient_does_not_count() -> None:
+def test_the_transient_is_left_out() -> None:
     touch, time = contacts(PHASES["bound"], period=0.4)
     start, _ = contacts(PHASES["pace"], period=0.23)
     touch[time < 1.0] = start[time < 1.0]
@@ -164,7 +171,7 @@ def test_the_transient_does_not_count() -> None:
     assert feet.window == (1.0, pytest.approx(6.0))
 
 
-def test_short_episodes() -> None:
+def test_episodes_with_too_few_strides_have_no_gait() -> None:
     feet = analyzed(*contacts(PHASES["trot"], period=0.3, seconds=1.8))
     assert feet.gait == "trot"
     feet = analyzed(*contacts(PHASES["trot"], period=0.5, seconds=1.4))
@@ -176,7 +183,7 @@ def test_short_episodes() -> None:
 
 
 @pytest.mark.parametrize(("value", "duty"), [(0.0, 0.0), (1.0, 1.0), (np.nan, np.nan)])
-def test_contacts_that_do_not_change_have_no_gait(value: float, duty: float) -> None:
+def test_constant_contacts_have_no_gait(value: float, duty: float) -> None:
     feet = analyzed(np.full((1000, 4), value), STEP * np.arange(1, 1001))
     assert feet.gait == "other"
     assert math.isnan(feet.stride_period)
@@ -184,7 +191,7 @@ def test_contacts_that_do_not_change_have_no_gait(value: float, duty: float) -> 
     assert (feet.reason == "foot contacts were not measured") == math.isnan(value)
 
 
-def test_other_feet_have_no_named_gait_but_numbers() -> None:
+def test_other_leg_names_have_metrics_but_no_gait() -> None:
     touch, time = contacts((0.0, 0.5))
     feet = analyzed(touch, time, ["front_left", "right"])
     assert feet.gait == "other"
@@ -194,7 +201,7 @@ def test_other_feet_have_no_named_gait_but_numbers() -> None:
 def test_stance_intervals_by_hand() -> None:
     time = np.arange(1, 11) * 0.01
     contact = [0, 0.25, 1, 1, 0.75, 0, 0, 1, 0, 0]
-    # Down from .0175 (last quarter of the second step) to .0475 (three quarters of the fifth); then one step.
+    # Contact from 0.0175 (last quarter of the second step) to 0.0475 (three quarters of the fifth); then one step.
     assert stance_intervals(contact, time) == (pytest.approx((0.0175, 0.0475)), pytest.approx((0.07, 0.08)))
     assert stance_intervals(contact, time, debounce=0.02) == (pytest.approx((0.0175, 0.0475)),)
     assert stance_intervals(contact, time, debounce=0.03) == (pytest.approx((0.0175, 0.08)),)
@@ -202,17 +209,17 @@ def test_stance_intervals_by_hand() -> None:
     assert stance_intervals([0] * 10, time) == ()
 
 
-def test_a_robot_that_stands_and_feet_that_idle_are_named() -> None:
+def test_the_reason_describes_standing_robots_and_idle_feet() -> None:
     time = np.arange(1, 601) * 0.01
     touch = np.ones((600, 4))
-    assert analyzed(touch, time).reason == STANDS
+    assert analyzed(touch, time).reason == STANDING_REASON
     touch[:, 2] = 0.0
     touch[:, 3] = np.arange(600) % 40 < 20
     reason = analyzed(touch, time).reason
     assert reason == "front_left and back_left never leave the ground; front_right never touches down"
 
 
-def test_the_pair_that_does_not_alternate_is_named() -> None:
+def test_the_reason_names_the_pair_that_does_not_alternate() -> None:
     phase = dict(zip(FEET, (0.0, 0.5, 0.5, 0.5), strict=True))
     assert classify(phase, 0.5)[2] == "the fore feet alternate and the hind feet do not"
     phase = dict(zip(FEET, (0.0, 0.0, 0.0, 0.5), strict=True))

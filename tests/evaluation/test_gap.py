@@ -1,4 +1,4 @@
-"""The reality gap of policies, against numbers worked by hand."""
+"""Reality gaps of policies, compared with hand-computed values."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ import numpy as np
 import pytest
 from run_tables import policy_gap
 
-from surefoot.evaluation.gap import PolicyGap, gap_text
+from surefoot.evaluation.gap import PolicyGap, gap_cells
 from surefoot.evaluation.statistics import MeanEstimate
 
 
-def test_the_gap_is_home_less_away():
+def test_the_gap_is_the_loss_of_return_in_the_other_world():
     policy = policy_gap("p", [4.0, 6.0], {"bullet": [1.0, 3.0], "robot": [6.0]})
     assert policy.gap("bullet") == MeanEstimate(3.0, pytest.approx(math.sqrt(2)))
     assert policy.gap("robot").mean == -1.0
     assert math.isnan(policy.gap("robot").error)
 
 
-def test_pooled_policies_are_all_their_runs():
+def test_pooling_keeps_all_runs_of_the_policies():
     first = policy_gap("a", [4.0, 6.0], {"bullet": [1.0]}, falls=1)
     second = policy_gap("b", [10.0], {"bullet": [3.0, 5.0]})
     pooled = PolicyGap.pooled("both", [first, second])
     assert pooled.home["return"].tolist() == [4.0, 6.0, 10.0]
     assert pooled.in_world("bullet")["return"].tolist() == [1.0, 3.0, 5.0]
     assert pooled.rows()[1]["success_rate"] == pytest.approx(2 / 3)
-    # The policies' own gaps are 5 - 1 and 10 - 4.
+    # The gaps of the two policies are 5 - 1 and 10 - 4.
     assert pooled.gap("bullet") == MeanEstimate(5.0, pytest.approx(1.0))
 
 
-def test_a_gap_has_a_row_for_each_world():
+def test_a_gap_has_one_row_per_world():
     policy = policy_gap("p", [3.0, 5.0], {"bullet": [1.0, 3.0], "robot": [math.nan]})
     home, bullet, robot = policy.rows()
     assert [row["side"] for row in (home, bullet, robot)] == ["home", "away", "away"]
     assert [home[name] for name in ("return_mean", "return_error", "power_mean", "runs", "falls")] == [4, 1, 10, 2, 0]
     assert (bullet["gap"], bullet["gap_error"]) == (2, pytest.approx(math.sqrt(2)))
     assert np.isnan([home["gap"], robot["gap"], robot["gap_error"], robot["return_mean"]]).all()
-    assert [gap_text(row, row["side"] == "home", sign=True)["gap (m)"] for row in policy.rows()] == [
+    assert [gap_cells(row, row["side"] == "home", sign=True)["gap (m)"] for row in policy.rows()] == [
         "",
         "+2.00 ± 1.41",
         "-",

@@ -1,4 +1,4 @@
-"""Policies side by side: the same commands within what all follow, and measures with known answers."""
+"""Comparison of policies: common commands, and metrics with known values."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from surefoot.evaluation.policy_table import (
     COLUMNS,
     common_commands,
     comparison_conditions,
+    format_rows,
     measure,
-    texts,
     with_commands,
 )
 from surefoot.evaluation.rollout import run_episodes
@@ -26,7 +26,7 @@ from surefoot.world.sim_world import SimWorld
 LIMITS = CommandLimits((-1.0, 1.5), (-0.5, 0.4), (-1.0, 0.9), (3.0, 3.0, 6.0), (0.01, 0.01, 0.01))
 
 
-def test_commands_are_those_that_all_follow():
+def test_common_commands_are_within_the_limits_of_all_policies():
     other = replace(LIMITS, forward=(-0.5, 2.0), yaw_rate=(-2.0, 0.8))
     commands = common_commands([LIMITS, other], ["a", "b"])
     assert (commands.forward, commands.sideways, commands.yaw_rate) == ((-0.5, 1.5), (-0.5, 0.4), (-1.0, 0.8))
@@ -34,11 +34,11 @@ def test_commands_are_those_that_all_follow():
         common_commands([LIMITS, None], ["a", "b"])
 
 
-def test_a_policy_that_stands_errs_by_what_it_is_told():
+def test_the_error_of_a_standing_policy_is_the_command():
     (candidate,), robot = load_policies(["go2-steer"])
     commands = common_commands([candidate.policy.contract.commands], ["x"])
     task = with_commands(candidate.task, commands)
-    # It is told to stand still, and it does.
+    # It is commanded to stand still, and does.
     still = replace(task, commands=replace(task.commands, stand=1.0))
     conditions = comparison_conditions(robot, {}, 2.0)
     traces = run_episodes(candidate.policy, conditions["nominal"].apply(still, robot), 2, SimWorld, threads=1)
@@ -53,14 +53,14 @@ def test_a_policy_that_stands_errs_by_what_it_is_told():
     assert float(conditions["latency"].apply(task, robot).nominal(robot).control_latency[0]) == 0.02
 
 
-def test_texts_have_a_row_for_each_policy():
+def test_formatted_tables_have_one_row_per_policy():
     import pandas as pd
 
     row = dict.fromkeys(COLUMNS, 1.25) | {"falls": 3, "cost_of_transport": float("nan")}
     table = pd.DataFrame([{"policy": name, "condition": "nominal", "episodes": 32, **row} for name in ("a", "b")])
-    first, second = texts(table, "nominal")
+    first, second = format_rows(table, "nominal")
     assert (first["policy"], second["policy"]) == ("a", "b")
     assert first["falls"] == "3 of 32"
     assert first["error forward (m/s)"] == "1.250"
     assert first["cost of transport"] == "-"
-    assert texts(table, "feet") == []
+    assert format_rows(table, "feet") == []

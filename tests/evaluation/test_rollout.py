@@ -1,4 +1,4 @@
-"""Episodes: each is recorded to its own end, and a trace says what the simulation did."""
+"""Rollouts: each episode is recorded to its own end, and traces equal the simulation."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROBOT = RobotDescription.load("minitaur")
 
 
 class Constant:
-    """Gives the same feedback whatever it sees, and keeps what it saw."""
+    """Controller with constant feedback that records its observations."""
 
     def __init__(self, swing: float = 0.0, extension: float = 0.0) -> None:
         self.row = np.repeat([swing, extension], 4)
@@ -43,7 +43,7 @@ def trot(max_steps: int = 60, **changes: object) -> TaskConfig:
     return replace(task, max_steps=max_steps, pushes=replace(task.pushes, enabled=False), **changes)
 
 
-def test_a_trace_is_what_the_environment_did_step_by_step():
+def test_a_trace_equals_the_environments_steps():
     policy, task = Constant(0.05, -0.02), trot(40)
     first, second = run_episodes(policy, task, 2, SimWorld, seed=5, threads=1, policy_name="constant")
     env = LocomotionEnv(task, 2, SimWorld, 5, autoreset=False, threads=1)
@@ -86,7 +86,7 @@ def test_the_return_is_the_sum_of_the_tasks_own_reward(reward, limits):
         np.testing.assert_allclose(returns, runs["return"], atol=1e-12)
 
 
-def test_the_return_is_that_of_the_trace_in_another_engine():
+def test_the_return_equals_the_traces_return_in_another_engine():
     pytest.importorskip("pybullet")
     make, policy = partial(SimWorld, engine="bullet"), Constant(0.05, -0.02)
     (trace,) = run_episodes(policy, trot(40), 1, make, seed=3)
@@ -97,15 +97,15 @@ def test_the_return_is_that_of_the_trace_in_another_engine():
     assert total == pytest.approx(measure_runs([trace])["return"][0], abs=1e-9)
 
 
-def test_an_episode_is_the_same_in_any_batch():
+def test_an_episode_does_not_depend_on_the_batch():
     three = run_episodes(Constant(), trot(30), 3, SimWorld, seed=2, threads=1)
     one = run_episodes(Constant(), trot(30), 1, SimWorld, seed=2, threads=1)
     assert np.array_equal(three[0].base_position_world, one[0].base_position_world)
     assert not np.array_equal(three[0].base_position_world, three[1].base_position_world)
 
 
-def test_robots_that_fall_end_earlier_and_the_others_go_on():
-    # A low limit on the tilt, which the untrained gait passes in some of the episodes.
+def test_fallen_robots_end_and_the_others_continue():
+    # With a low fall angle, the untrained gait falls in some of the episodes.
     task = trot(300, fall_angle=0.12)
     traces = run_episodes(Constant(), task, 6, SimWorld, seed=1, threads=1)
     for trace in traces:
@@ -123,10 +123,10 @@ def test_pushes_move_the_robot():
     still, moved = (run_episodes(Constant(), task, 1, SimWorld, threads=1)[0] for task in (calm, pushed))
     steps = min(still.num_steps, moved.num_steps)
     apart = np.linalg.norm(still.base_position_world[:steps] - moved.base_position_world[:steps], axis=1)
-    # The first push comes after 1.2 s, that is 200 control steps.
+    # The first push comes after 1.2 s (200 control steps).
     assert apart[:200].max() == 0
     assert apart.max() > 0.02
-    # The trace holds the force of each control step: 10 of 6 ms, from the 201st on.
+    # The trace has the force of each control step: 10 of 6 ms, from the 201st on.
     pushing = np.linalg.norm(moved.push_force_world, axis=1)
     assert np.flatnonzero(pushing).tolist() == list(range(200, min(210, moved.num_steps)))
     assert 130.0 <= pushing.max() <= 220.0
@@ -155,9 +155,9 @@ def test_action_is_the_inverse_of_feedback(rng: np.random.Generator):
     assert np.array_equal(gait.action(np.full((1, 8), 9.0)), [[1.0] * 4 + [0.0] * 4])
 
 
-def test_true_motor_angles_are_younger_than_readings(tmp_path: Path):
+def test_true_motor_angles_are_newer_than_readings(tmp_path: Path):
     (trace,) = run_episodes(Constant(), trot(60), 1, SimWorld, threads=1)
-    # 20 ms old readings: 3 control steps of 6 ms and a third.
+    # Readings are 20 ms old: 3 1/3 control steps of 6 ms.
     late = (2 * trace.true_motor_angle[40 - 3] + trace.true_motor_angle[40 - 4]) / 3
     assert np.allclose(trace.motor_angle[40], late, atol=0.01)
     again = EpisodeTrace.load(trace.save(tmp_path / "t.npz"))

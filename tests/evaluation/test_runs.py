@@ -1,4 +1,4 @@
-"""The table of runs and its summaries, against numbers worked by hand."""
+"""Table of runs and its summaries, compared with hand-computed values."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MakeRun = Callable[..., EpisodeTrace]
 MASS = 7.473
 
 
-def test_runs_are_measured_from_traces(make_run: MakeRun):
+def test_metrics_of_runs_follow_from_traces(make_run: MakeRun):
     traces = [
         make_run(distance=3.0, energy=100.0, steps=200),
         make_run(distance=1.0, energy=50.0, steps=100, ended="fall"),
@@ -38,11 +38,11 @@ def test_runs_are_measured_from_traces(make_run: MakeRun):
     np.testing.assert_allclose(runs.power, [50.0, 50.0, 0.0])
     assert runs.steps.tolist() == [200, 100, 50]
     assert runs.fell.tolist() == [False, True, False]
-    # A run that was stopped by hand is no fall, and no success either.
+    # A run that was stopped by hand is neither a fall nor a success.
     assert runs.balanced.tolist() == [True, False, False]
 
 
-def test_a_robot_without_a_measured_position_has_a_power_but_no_return(make_run: MakeRun):
+def test_without_a_measured_position_there_is_power_but_no_return(make_run: MakeRun):
     runs = measure_runs([make_run(distance=math.nan, world="robot") for _ in range(2)])
     assert runs[["return", "distance", "speed"]].isna().all(axis=None)
     assert runs.power.tolist() == pytest.approx([100.0, 100.0])
@@ -51,7 +51,7 @@ def test_a_robot_without_a_measured_position_has_a_power_but_no_return(make_run:
     assert math.isnan(gap.error)
 
 
-def test_runs_of_several_worlds_are_refused_unless_the_table_has_a_name(make_run: MakeRun):
+def test_runs_of_several_worlds_are_rejected_unless_a_name_is_set(make_run: MakeRun):
     traces = [make_run(world="mujoco"), make_run(world="bullet")]
     with pytest.raises(SurefootError, match="more than one world: bullet, mujoco"):
         measure_runs(traces)
@@ -60,7 +60,7 @@ def test_runs_of_several_worlds_are_refused_unless_the_table_has_a_name(make_run
 
 @pytest.fixture
 def make_trace(make_run: MakeRun) -> MakeRun:
-    """Give what makes a steady trot at a speed [m/s] with a power [W], which ends `lateral` [m] to the left."""
+    """Return a function that makes a steady trot with a speed [m/s] and power [W], ending `lateral` [m] to the left."""
 
     def make(
         speed: float = 0.6, power: float = 72.0, steps: int = 1000, lateral: float = 0.0, **meta: Any
@@ -96,14 +96,14 @@ def test_summary_by_hand(make_trace: MakeRun) -> None:
     assert summary["duty_factor"] == pytest.approx(dict.fromkeys(FEET, 0.4), abs=0.01)
     assert list(summary["phases"]) == list(FEET)
     assert summary["phases"]["back_left"] == pytest.approx(0.5, abs=0.01)
-    # Averaged around the circle: just below 1 and just above 0 are alike.
+    # Circular mean: just below 1 and just above 0 are close.
     assert math.remainder(summary["phases"]["back_right"], 1.0) == pytest.approx(0.0, abs=0.01)
     assert summary["stance"]["front_right"] == pytest.approx(0.2, abs=0.003)
     assert (summary["world"], summary["policy"]) == ("mujoco", "trot")
     assert json.loads(json.dumps(summary, allow_nan=False)) == summary
 
 
-def test_going_backward_has_no_cost_of_transport(make_trace: MakeRun) -> None:
+def test_walking_backward_has_no_cost_of_transport(make_trace: MakeRun) -> None:
     summary = summarize([make_trace(speed=-0.1, energy_weight=0.0)], MASS)
     assert summary["distance_mean"] == summary["return_mean"] == pytest.approx(-0.6)
     assert summary["cost_of_transport_mean"] is None
@@ -121,12 +121,12 @@ def test_summary_of_a_robot_without_a_measured_position(make_trace: MakeRun) -> 
     json.dumps(summary, allow_nan=False)
 
 
-def test_summary_refuses_traces_of_several_policies(make_trace: MakeRun) -> None:
+def test_summary_rejects_traces_of_several_policies(make_trace: MakeRun) -> None:
     with pytest.raises(SurefootError, match="more than one policy: gallop, trot"):
         summarize([make_trace(), make_trace(policy="gallop")], MASS)
 
 
-def test_saturation_is_the_share_of_time_of_each_motor(make_run: MakeRun) -> None:
+def test_saturation_is_each_motors_fraction_of_time_at_its_limit(make_run: MakeRun) -> None:
     at_limit = np.zeros((100, 8))
     at_limit[::4, 2], at_limit[:10, 5] = 1.0, 0.5
     shares = (at_limit, np.full((100, 8), np.nan))
@@ -135,12 +135,12 @@ def test_saturation_is_the_share_of_time_of_each_motor(make_run: MakeRun) -> Non
     summary = summarize(traces[:1] * 2, MASS)
     assert summary["saturation"] == pytest.approx({f"m{k}": {2: 0.25, 5: 0.05}.get(k, 0.0) for k in range(8)})
     assert saturation_note(summary) == (
-        "motors limit this gait: m2 is at its limit in 25% of the time; "
-        "surefoot robot check says what torque a trot asks for"
+        "motors limit this gait: m2 is at its limit for 25% of the time; "
+        "surefoot robot check computes the torque that a trot requires"
     )
     at_limit[0, 2] = 0.9
     assert saturation_note(summarize([make_run(steps=100, arrays={"motor_saturation": at_limit})], MASS)) is None
-    # A robot's trace does not know it.
+    # Traces of a real robot lack it.
     unknown = summarize(traces[1:], MASS)
     assert set(unknown["saturation"].values()) == {None}
     assert saturation_note(unknown) is None

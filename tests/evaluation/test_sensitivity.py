@@ -1,4 +1,4 @@
-"""The sensitivity study: test worlds, returns over the same time, and values at which a gait breaks."""
+"""Sensitivity: test worlds, returns over the same time, and values at which a gait fails."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 from numpy.typing import ArrayLike, NDArray
 from run_tables import sensitivity_table
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 pytest.importorskip("mujoco")
 pytest.importorskip("gymnasium")
@@ -22,7 +22,7 @@ pytest.importorskip("gymnasium")
 from surefoot.errors import SurefootError
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
-from surefoot.evaluation.sensitivity import Sensitivity, find_breaks, make_test_worlds, row_unit, run_sensitivity
+from surefoot.evaluation.sensitivity import Sensitivity, find_gait_limits, make_test_worlds, row_unit, run_sensitivity
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges, RelativeRange, load_ranges
 from surefoot.task.config import TaskConfig, load_task
@@ -33,7 +33,7 @@ MASS, LATENCY = "base_mass_ratio", "control_latency"
 
 
 class Constant:
-    """Gives constant feedback, and records the number of robots in each call."""
+    """Controller with constant feedback that records the number of robots in each call."""
 
     def __init__(self) -> None:
         self.counts: list[int] = []
@@ -44,14 +44,14 @@ class Constant:
 
 
 class Reactive:
-    """Gives feedback in proportion to the measured roll, so that latency matters."""
+    """Controller with feedback proportional to the measured roll, so that latency matters."""
 
     def feedback(self, observation: ArrayLike) -> NDArray[np.float64]:
         return np.clip(0.5 * np.asarray(observation, float)[:, :1] + np.linspace(-0.05, 0.05, 8), -0.2, 0.2)
 
 
 class Walker(ScriptedWorld):
-    """A base that goes 1 m/s for each unit of friction, takes 10 W, and tilts or diverges at a time."""
+    """Base that moves at 1 m/s per unit of friction with 10 W, and tilts or diverges at a set time."""
 
     fall_time: Callable[[PhysicalParams], NDArray[np.float64]] = staticmethod(lambda p: np.full(p.num_envs, math.inf))
     diverge_time = math.inf
@@ -73,7 +73,7 @@ def trot(max_steps: int = 100, **changes: Any) -> TaskConfig:
     return replace(task, max_steps=max_steps, **changes)
 
 
-def scripted(**attributes: Any) -> Any:
+def scripted_world(**attributes: Any) -> Any:
     return type("World", (Walker,), attributes)
 
 
@@ -83,7 +83,7 @@ def of_row(result: Sensitivity, row: str, column: str) -> list[list[Any]]:
     return [part.tolist() for _, part in tests.groupby("value")[column]]
 
 
-def test_table_1_gives_ten_worlds_a_parameter(robot: RobotDescription):
+def test_table_1_gives_ten_worlds_per_parameter(robot: RobotDescription):
     worlds = make_test_worlds(load_ranges("table1"), PhysicalParams.nominal(robot))
     assert len(worlds) == 120
     assert worlds[0][:2] == (MASS, 0.8)
@@ -93,7 +93,7 @@ def test_table_1_gives_ten_worlds_a_parameter(robot: RobotDescription):
     assert {row_unit(row) for row, *_ in worlds} == {"", "N m", "s", "V", "rad"}
 
 
-def test_worlds_are_the_ends_and_evenly_spaced_values_between(robot: RobotDescription):
+def test_worlds_are_evenly_spaced_and_include_the_ends(robot: RobotDescription):
     ranges: Ranges = {MASS: (0.9, 1.1), "voltage": (15.0, 15.0)}
     worlds = make_test_worlds(ranges, PhysicalParams.nominal(robot), 3)
     assert [world[:2] for world in worlds] == [(MASS, 0.9), (MASS, 1.0), (MASS, 1.1), ("voltage", 15.0)]
@@ -110,10 +110,10 @@ def test_a_relative_range_scales_the_values_of_all_motors():
     assert greatest[1] == pytest.approx(1.5 * nominal.motor_friction.mean())
 
 
-def test_returns_by_hand_over_the_same_time():
+def test_returns_are_over_the_same_time_in_all_worlds():
     ranges: Ranges = {"control_step": (0.003, 0.020), "contact_friction": (0.5, 1.0)}
     policy = Constant()
-    result = run_sensitivity(policy, trot(), scripted(), ranges=ranges, values=2, episodes=2, duration=0.6)
+    result = run_sensitivity(policy, trot(), scripted_world(), ranges=ranges, values=2, episodes=2, duration=0.6)
     # 0.6 s at 1 m/s and 10 W with w = 0.008 m/J: 0.6 - 0.048, whether in 200 control steps or in 30.
     assert np.allclose(of_row(result, "control_step", "return"), [[0.552] * 2] * 2)
     assert np.allclose(of_row(result, "contact_friction", "return"), [[0.252] * 2, [0.552] * 2])
@@ -121,19 +121,19 @@ def test_returns_by_hand_over_the_same_time():
     assert np.allclose(result.nominal["return"], 0.552)
     assert result.nominal_values == pytest.approx({"control_step": 0.006, "contact_friction": 1.0})
     assert not result.tests.fell.any()
-    # The policy sees 10 robots until 30 control steps, 8 until 100, 2 until 200.
+    # The policy gets 10 robots up to 30 control steps, 8 up to 100, 2 up to 200.
     assert policy.counts == [10] * 30 + [8] * 70 + [2] * 100
 
 
-def test_an_episode_ends_with_the_control_step_nearest_to_its_duration():
+def test_an_episode_has_the_number_of_control_steps_nearest_to_its_duration():
     ranges: Ranges = {"control_step": (0.007, 0.017)}
-    result = run_sensitivity(Constant(), trot(), scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
+    result = run_sensitivity(Constant(), trot(), scripted_world(), ranges=ranges, values=2, episodes=1, duration=0.1)
     # 14 control steps of 7 ms and 6 of 17 ms.
     assert np.allclose(result.tests["return"], np.array([0.098, 0.102]) * 0.92)
 
 
-def test_a_robot_that_falls_counts_to_its_fall():
-    world = scripted(fall_time=staticmethod(lambda p: np.where(p.voltage > 15.9, math.inf, 0.3)))
+def test_a_falling_robots_return_counts_up_to_the_fall():
+    world = scripted_world(fall_time=staticmethod(lambda p: np.where(p.voltage > 15.9, math.inf, 0.3)))
     ranges: Ranges = {"voltage": (15.0, 16.0), MASS: (0.8, 1.2)}
     result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=3, duration=0.6)
     assert of_row(result, "voltage", "fell") == [[True] * 3, [False] * 3]
@@ -142,8 +142,8 @@ def test_a_robot_that_falls_counts_to_its_fall():
     assert result.fall_rate == 0.25
 
 
-def test_a_robot_that_diverges_counts_as_a_fall_a_step_before():
-    world = scripted(diverge_time=0.3)
+def test_divergence_counts_as_a_fall_one_step_earlier():
+    world = scripted_world(diverge_time=0.3)
     ranges: Ranges = {MASS: (0.8, 1.2)}
     result = run_sensitivity(Constant(), trot(), world, ranges=ranges, values=2, episodes=1, duration=0.6)
     assert result.tests.fell.all()
@@ -152,12 +152,12 @@ def test_a_robot_that_diverges_counts_as_a_fall_a_step_before():
     assert np.allclose(result.tests.speed, 1.0)
 
 
-def test_the_default_duration_is_that_of_the_task():
+def test_the_duration_defaults_to_the_tasks():
     ranges: Ranges = {"control_step": (0.003, 0.020)}
-    result = run_sensitivity(Constant(), trot(100), scripted(), ranges=ranges, values=2, episodes=1)
+    result = run_sensitivity(Constant(), trot(100), scripted_world(), ranges=ranges, values=2, episodes=1)
     assert np.allclose(result.tests["return"], 0.552)
     task = trot(100, params={"control_step": 0.012})
-    slower = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1)
+    slower = run_sensitivity(Constant(), task, scripted_world(), ranges=ranges, values=2, episodes=1)
     assert np.allclose(slower.tests["return"], 1.104)
     assert slower.nominal_values["control_step"] == 0.012
 
@@ -174,12 +174,12 @@ def test_robots_are_pushed_only_with_the_option():
     for pushes in (False, True):
         run_sensitivity(Constant(), task, make, ranges=ranges, values=2, episodes=1, duration=1.3, pushes=pushes)
     assert worlds[0].pushes == 0
-    # Of the start, its restart, and the one push at 1.2 s: on and off.
+    # At the start, at its restart, and for the one push at 1.2 s: on and off.
     assert worlds[1].pushes == 4
 
 
-def test_an_episode_is_the_one_that_evaluate_runs():
-    max_steps = 220  # a push comes after 200
+def test_an_episode_equals_the_one_of_evaluate():
+    max_steps = 220  # with a push after 200
     task = trot(max_steps, pushes=replace(trot().pushes, enabled=True, probability=1.0))
     ranges: Ranges = {
         MASS: (0.8, 1.2),
@@ -190,7 +190,7 @@ def test_an_episode_is_the_one_that_evaluate_runs():
     options: dict[str, Any] = {"ranges": ranges, "values": 2, "episodes": 2, "seed": 7, "threads": 1}
     result = run_sensitivity(Reactive(), task, SimWorld, pushes=True, **options)
     assert list(result.worlds.row[::2]) == list(ranges)
-    checked: list[tuple[dict[str, float], int, int]] = [  # parameters, control steps and number of the world
+    checked: list[tuple[dict[str, float], int, int]] = [  # parameters, control steps and index of the world
         ({}, max_steps, 0),
         ({MASS: 1.2}, max_steps, 2),
         ({"motor_strength": 0.8}, max_steps, 3),
@@ -205,12 +205,12 @@ def test_an_episode_is_the_one_that_evaluate_runs():
     assert result.tests["return"].round(9).is_unique
 
 
-def test_the_number_of_robots_side_by_side_does_not_change_the_result():
+def test_the_result_does_not_depend_on_the_number_of_parallel_robots():
     ranges: Ranges = {"motor_strength": (0.8, 1.1), "control_step": (0.003, 0.02)}
     shares: list[float] = []
     options: dict[str, Any] = {"ranges": ranges, "values": 3, "episodes": 2, "seed": 7, "threads": 1}
     whole = run_sensitivity(Reactive(), trot(30), SimWorld, **options)
-    for robots in (1, 6):  # a world at a time, two at a time
+    for robots in (1, 6):  # one world at a time, two at a time
         parts = run_sensitivity(Reactive(), trot(30), SimWorld, robots=robots, progress=shares.append, **options)
         pd.testing.assert_frame_equal(parts.episodes, whole.episodes, check_exact=True)
         assert shares[-1] == pytest.approx(1.0)
@@ -221,7 +221,7 @@ def test_the_number_of_robots_side_by_side_does_not_change_the_result():
 def made_up(
     returns: dict[str, list[float]], falls: dict[str, list[int]] | None = None, nominal: float = 10.0, fell: int = 0
 ) -> Sensitivity:
-    """A study of 4 episodes a world over 0 to 40 ms of latency and other rows, from mean returns and falls."""
+    """Return results with 4 episodes per world for 0 to 40 ms of latency and other rows, from returns and falls."""
     spans = {LATENCY: (0.0, 0.04), MASS: (0.8, 1.2), "motor_friction": (0.0, 0.05)}
     centres = {LATENCY: 0.02, MASS: 1.0, "motor_friction": 0.0}
     worlds = [(row, float(x)) for row, means in returns.items() for x in np.linspace(*spans[row], len(means))]
@@ -235,7 +235,7 @@ def made_up(
 def test_aggregates_by_hand():
     study = made_up({LATENCY: [4.0, 8.0]}, {LATENCY: [3, 0]})
     assert study.worlds.return_mean.tolist() == [4.0, 8.0]
-    # Four numbers at 1 from their mean: variance 4/3, and 4/3/4 of the mean.
+    # Four samples at distance 1 from their mean: variance 4/3, and 4/3/4 of the mean.
     assert np.allclose(study.worlds.return_error, math.sqrt(1 / 3))
     assert (study.mean, study.std, study.fall_rate) == (6.0, pytest.approx(math.sqrt(8)), 0.375)
     assert study.rows == (LATENCY,)
@@ -243,7 +243,7 @@ def test_aggregates_by_hand():
     assert once.worlds.return_error.isna().all()
 
 
-def test_the_nearest_break_comes_first():
+def test_the_nearest_failure_comes_first():
     study = made_up(
         {
             MASS: [10, 10, 10, 10, 1],
@@ -252,7 +252,7 @@ def test_the_nearest_break_comes_first():
         },
         {MASS: [0, 0, 0, 0, 4], LATENCY: [0, 0, 0, 1, 3]},
     )
-    latency, mass = find_breaks(study).itertuples()
+    latency, mass = find_gait_limits(study).itertuples()
     assert (latency.row, latency.value, latency.above, latency.fraction) == (
         LATENCY,
         0.03,
@@ -276,18 +276,20 @@ def test_the_nearest_break_comes_first():
         ([10] * 5, [4, 4, 0, 3, 4], [(0.03, 1, 1), (0.01, 1, 1)]),
         ([10, 10, 10, 4, 10], [0] * 5, [(0.03, 1, 0)]),
         ([10] * 9, [0] * 5 + [4, 0, 0, 4], [(0.025, 3, 1)]),
-        # Without a return worth halving, falls alone count.
+        # If the nominal return is not positive, only falls count.
         ([-5.0, -5.0], [0, 2], [(0.04, 0, 0)]),
     ],
 )
-def test_breaks_on_both_sides(returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]):
-    result = find_breaks(made_up({LATENCY: returns}, {LATENCY: falls}, nominal=10.0 if returns[0] > 0 else -1.0))
+def test_failures_are_found_on_both_sides_of_nominal(
+    returns: list[float], falls: list[int], breaks: list[tuple[float, int, int]]
+):
+    result = find_gait_limits(made_up({LATENCY: returns}, {LATENCY: falls}, nominal=10.0 if returns[0] > 0 else -1.0))
     assert [(item.value, item.beyond, item.broken_beyond) for item in result.itertuples()] == [
         (pytest.approx(value), beyond, broken) for value, beyond, broken in breaks
     ]
 
 
-def test_a_table_has_a_row_for_each_test_world():
+def test_the_table_has_one_row_per_test_world():
     study = made_up({LATENCY: [4.0, 8.0], MASS: [5.0, 6.0]}, {LATENCY: [3, 0]})
     error, deviation = pytest.approx(math.sqrt(1 / 3)), pytest.approx(math.sqrt(4 / 3))
     numbers = {"return_mean": 4.0, "return_error": error, "return_std": deviation}
@@ -297,15 +299,15 @@ def test_a_table_has_a_row_for_each_test_world():
     assert (last.row, last.unit, last.value, last.return_mean) == (MASS, "", 1.2, 6.0)
 
 
-def test_results_come_back_from_json():
+def test_results_survive_json():
     study = made_up({LATENCY: [4.0, 8.0]}, {LATENCY: [3, 0]})
     again = Sensitivity.from_mapping(json.loads(json.dumps(study.to_mapping(), allow_nan=False)), "trot")
     assert again.nominal_values == study.nominal_values
     pd.testing.assert_frame_equal(again.episodes, study.episodes[list(again.episodes)])
 
 
-def test_nominal_values_are_those_of_the_task():
+def test_nominal_values_are_the_tasks():
     ranges: Ranges = {LATENCY: (0.0, 0.04), "motor_strength": (0.8, 1.2), MASS: (0.8, 1.2)}
     task = trot(params={"motor_strength": 0.9})
-    result = run_sensitivity(Constant(), task, scripted(), ranges=ranges, values=2, episodes=1, duration=0.1)
+    result = run_sensitivity(Constant(), task, scripted_world(), ranges=ranges, values=2, episodes=1, duration=0.1)
     assert result.nominal_values == pytest.approx({LATENCY: 0.02, "motor_strength": 0.9, MASS: 1.0})

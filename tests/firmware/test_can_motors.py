@@ -1,4 +1,4 @@
-"""The driver of motors on a CAN bus, alone and below the board's program, with drives that are simulated.
+"""The driver of motors on a CAN bus with simulated drives, with and without the board's program.
 
 The board's program and the driver are compiled for this computer. Frames are those of the actuators' manuals: to a
 drive position (16 bits), speed, kp, kd and torque (12 each); from it its number, position (16), speed, torque (12
@@ -31,7 +31,7 @@ HANDSHAKE = firmware_handshake(ROBOT, Limits.from_robot(ROBOT))
 POSE = (HANDSHAKE.angle_low + HANDSHAKE.angle_high) / 2
 MOTORS, DT = 12, HANDSHAKE.servo_period
 RANGES = ((-12.5, 12.5), (-45.0, 45.0), (0.0, 500.0), (0.0, 5.0), (-24.0, 24.0))
-"""Of position [rad], speed [rad/s], kp [N m/rad], kd [N m s/rad] and torque [N m]."""
+"""Ranges of position [rad], speed [rad/s], kp [N m/rad], kd [N m s/rad] and torque [N m]."""
 BITS = (16, 12, 12, 12, 12)
 STEPS = [(high - low) / (2**bits - 1) for (low, high), bits in zip(RANGES, BITS, strict=True)]
 """Resolution of each."""
@@ -70,36 +70,36 @@ size_t get_line(uint8_t *bytes) { size_t size = line_size; memcpy(bytes, line, s
 """
 
 
-class Order(ctypes.Structure):
+class MotorCommand(ctypes.Structure):
     _fields_ = [(name, ctypes.c_float) for name in ("effort", "target", "kp", "kd", "feedforward")]
 
 
 class Drive:
-    """A drive with its motor, an inertia of .02 kg m2: obeys the last order while it is on, and answers each frame.
+    """A drive and its motor with an inertia of 0.02 kg m2: follows the last command while on, and answers each frame.
 
-    After 20 ms without a frame it forgets the order.
+    After 20 ms without a frame it discards the command.
     """
 
     def __init__(self, angle: float) -> None:
         self.angle, self.speed, self.torque = angle, 0.0, 0.0
-        self.order = np.zeros(5)
+        self.command = np.zeros(5)
         """Position, speed, kp, kd, torque."""
-        self.obeyed: list[np.ndarray] = []
-        """All orders."""
+        self.commands: list[np.ndarray] = []
+        """All received commands."""
         self.on = self.mute = False
         self.error, self.temperature, self.waited = 0, 31, 0
 
-    def obey(self, data: bytes) -> bytes:
-        """Take a frame; return the answer without the drive's number."""
+    def receive(self, data: bytes) -> bytes:
+        """Process a frame; return the answer without the drive's number."""
         self.waited = 0
         if data == SWITCH_ON:
             self.on = True
         else:
-            bits, self.order = int.from_bytes(data, "big"), np.zeros(5)
+            bits, self.command = int.from_bytes(data, "big"), np.zeros(5)
             for k in reversed(range(5)):
-                self.order[k] = RANGES[k][0] + STEPS[k] * (bits & (2 ** BITS[k] - 1))
+                self.command[k] = RANGES[k][0] + STEPS[k] * (bits & (2 ** BITS[k] - 1))
                 bits >>= BITS[k]
-            self.obeyed.append(self.order)
+            self.commands.append(self.command)
             self.act()
         p, v, t = (
             round((np.clip(number, *RANGES[k]) - RANGES[k][0]) / STEPS[k])
@@ -108,16 +108,16 @@ class Drive:
         return bytes([*(p << 24 | v << 12 | t).to_bytes(5, "big"), self.temperature, self.error])
 
     def act(self) -> None:
-        """Set the torque by the last order."""
-        angle, speed, kp, kd, torque = self.order
+        """Set the torque from the last command."""
+        angle, speed, kp, kd, torque = self.command
         wanted = torque + kp * (angle - self.angle) + kd * (speed - self.speed)
         self.torque = float(np.clip(wanted, *RANGES[4])) if self.on and not self.error else 0.0
 
     def step(self) -> None:
-        """Move for a servo step, with ten steps of the drive's own loop."""
+        """Simulate a servo step, with ten steps of the drive's own loop."""
         self.waited += 1
         if self.waited > 0.02 / DT:
-            self.order = np.zeros(5)
+            self.command = np.zeros(5)
         for _ in range(10):
             self.act()
             self.speed += DT / 10 * self.torque / 0.02
@@ -125,48 +125,48 @@ class Drive:
 
 
 class Board:
-    """The board's program with the driver, a bus and its drives; time passes with servo steps."""
+    """The board's program with the driver, a bus and its drives; time advances with servo steps."""
 
     def __init__(self, library: Path) -> None:
         self.c = ctypes.CDLL(str(library))
         self.drives = [Drive(angle) for angle in POSE]
         self.room = 1000
-        """How many frames the bus carries in a servo step."""
+        """Number of frames that the bus transmits per servo step."""
         self.answer_id = lambda number: 0
         self.number = 0
         self.host, self.states, self.faults = Decoder(Codec(MOTORS)), list[State](), list[messages.Fault]()
 
     def exchange(self) -> list[tuple[int, bytes]]:
-        """Carry frames to the drives and their answers back; return what the drives got, with identifiers."""
+        """Transmit frames to the drives and their answers back; return the received frames, by identifier."""
         data, carried = (ctypes.c_uint8 * 8)(), []
         while len(carried) < self.room and (number := self.c.get(data)) >= 0:
             carried.append((number, bytes(data)))
-            answer = self.drives[number - 1].obey(bytes(data))
+            answer = self.drives[number - 1].receive(bytes(data))
             if not self.drives[number - 1].mute:
                 self.put(self.answer_id(number), bytes([number]) + answer)
         return carried
 
     def put(self, name: int, data: bytes) -> None:
-        """Put a frame on the bus to the board."""
+        """Send a frame to the board."""
         self.c.put(name, data, len(data))
 
     def read(self) -> np.ndarray:
-        """Angles, speeds and torques (3, M) by the driver."""
+        """Angles, speeds and torques (3, M) read by the driver."""
         seen = np.zeros((3, MOTORS), np.float32)
         self.c.hal_read_motors(*(row.ctypes.data_as(ctypes.c_void_p) for row in seen))
         return seen
 
-    def drive(self, orders: Iterable[dict[str, float]]) -> list[tuple[int, bytes]]:
-        """Drive the motors by the driver alone; return the frames."""
-        self.c.hal_drive_motors((Order * MOTORS)(*(Order(**order) for order in orders)))
+    def drive(self, commands: Iterable[dict[str, float]]) -> list[tuple[int, bytes]]:
+        """Drive the motors with the driver only; return the frames."""
+        self.c.hal_drive_motors((MotorCommand * MOTORS)(*(MotorCommand(**command) for command in commands)))
         return self.exchange()
 
     def wait(self) -> None:
-        """Let a servo step pass."""
+        """Simulate a servo step."""
         ctypes.c_uint64.in_dll(self.c, "now").value += round(1e6 * DT)
 
     def send(self, message: Message) -> None:
-        """Send a message of the host."""
+        """Send a message from the host."""
         self.number += 1
         now = ctypes.c_uint64.in_dll(self.c, "now").value / 1e6
         frame = encode_frame(self.host.codec, message, self.number, now)
@@ -187,8 +187,8 @@ class Board:
                 drive.step()
             self.c.board_report()
             for packet in self.host.feed(bytes(line[: self.c.get_line(line)])):
-                for kind, kept in ((State, self.states), (messages.Fault, self.faults)):
-                    kept.append(packet.message) if isinstance(packet.message, kind) else None  # type: ignore[attr-defined]
+                for kind, received in ((State, self.states), (messages.Fault, self.faults)):
+                    received.append(packet.message) if isinstance(packet.message, kind) else None  # type: ignore[attr-defined]
 
     def arm(self) -> tuple[Mode, Reason]:
         """Request that the robot arms; return its mode and reason."""
@@ -225,13 +225,13 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def board(library: Path, tmp_path: Path) -> Board:
-    # Another file has variables of its own.
+    # Each library file has its own variables.
     return Board(Path(shutil.copy(library, tmp_path / "board.so")))
 
 
 @pytest.fixture
 def armed(board: Board) -> Board:
-    """The board armed, its drives on and in their pose."""
+    """The armed board, with its drives on and in their pose."""
     board.c.board_start()
     board.run(5)
     board.send(messages.Hello(7, 0.002))
@@ -246,9 +246,9 @@ def armed(board: Board) -> Board:
 def test_frames_have_the_bytes_of_the_manual(board):
     """Worked by hand: 1 rad is 13.5/25 of 65535, 35388.9, or 8A3D; 20 N m/rad is 163.8 of 4095, or 0A4; and so on."""
     zero, some, most = map(bytes.fromhex, ("8000800000000800", "8A3D8000A43338FF", "FFFF800FFFFFFFFF"))
-    orders = [{}, {"target": 1.0, "kp": 20.0, "kd": 1.0, "feedforward": 3.0}]
-    orders += [{"target": 12.5, "kp": 500.0, "kd": 5.0, "feedforward": 24.0}] * 10
-    frames = board.drive(orders)
+    commands = [{}, {"target": 1.0, "kp": 20.0, "kd": 1.0, "feedforward": 3.0}]
+    commands += [{"target": 12.5, "kp": 500.0, "kd": 5.0, "feedforward": 24.0}] * 10
+    frames = board.drive(commands)
     assert frames[::2] == [(number, SWITCH_ON) for number in range(1, 13)]
     assert frames[1::2] == [(1, zero), (2, some), *((number, most) for number in range(3, 13))]
     # -1 rad is 30146.1, 10 rad/s 2502.5 (the drive's 9C6 is 9.989 rad/s), -6 N m 1535.6 or 600.
@@ -267,7 +267,7 @@ def test_numbers_go_both_ways_within_the_resolution(board):
             drive.angle, drive.speed = angle, speed
         names = "target", "kp", "kd", "feedforward"
         board.drive(dict(zip(names, map(float, sent[[0, 2, 3, 4], m]), strict=True)) for m in range(MOTORS))
-        got = np.array([drive.order for drive in board.drives]).T
+        got = np.array([drive.command for drive in board.drives]).T
         sent[1] = 0.0
         half = np.array(STEPS)[:, None] * 0.505
         assert (np.abs(got - sent) <= half).all()
@@ -276,23 +276,23 @@ def test_numbers_go_both_ways_within_the_resolution(board):
         board.wait()
 
 
-def test_numbers_out_of_range_are_clipped_and_what_is_no_number_gives_no_torque(board):
+def test_values_out_of_range_are_clipped_and_nan_gives_no_torque(board):
     beyond = {"target": 1e9, "kp": 1e9, "kd": np.inf, "feedforward": 25.0}
     board.drive([beyond] * 6 + [{name: -number for name, number in beyond.items()}] * 6)
     ends = np.array(RANGES)
     for drives, column in ((board.drives[:6], 1), (board.drives[6:], 0)):
         for drive in drives:
-            np.testing.assert_allclose(drive.order[[0, 2, 3, 4]], ends[[0, 2, 3, 4], column])
+            np.testing.assert_allclose(drive.command[[0, 2, 3, 4]], ends[[0, 2, 3, 4], column])
     board.drive(
         [{"target": 1.0, "kp": 20.0, "kd": 1.0, "feedforward": 3.0} | {name: np.nan for name in beyond}] * 6
         + [{"target": np.nan, "kp": 20.0, "kd": 1.0}] * 6
     )
     for drive in board.drives:
-        assert drive.order[2] == 0.0
-        assert abs(drive.order[4]) < STEPS[4]
+        assert drive.command[2] == 0.0
+        assert abs(drive.command[4]) < STEPS[4]
 
 
-def test_directions_zeros_and_offsets_of_an_owner_are_obeyed(tmp_path):
+def test_directions_zeros_and_offsets_of_the_owner_are_applied(tmp_path):
     board = Board(
         build(
             tmp_path,
@@ -305,8 +305,8 @@ def test_directions_zeros_and_offsets_of_an_owner_are_obeyed(tmp_path):
     for drive in board.drives:
         drive.angle, drive.speed, drive.temperature = 1.0, 2.0, 71
     board.drive([{"target": 1.5, "feedforward": 3.0}] * MOTORS)
-    assert [round(float(drive.order[0]), 3) for drive in board.drives[:4]] == [-1.0, 1.75, -1.5, 1.5]
-    assert [round(float(drive.order[4]), 1) for drive in board.drives[:4]] == [-3.0, 3.0, -3.0, 3.0]
+    assert [round(float(drive.command[0]), 3) for drive in board.drives[:4]] == [-1.0, 1.75, -1.5, 1.5]
+    assert [round(float(drive.command[4]), 1) for drive in board.drives[:4]] == [-3.0, 3.0, -3.0, 3.0]
     seen = board.read()[:, :4]
     np.testing.assert_allclose(seen[0], [-0.5, 0.75, -1.0, 1.0], atol=2e-4)
     np.testing.assert_allclose(seen[1], [-2.0, 2.0, -2.0, 2.0], atol=0.012)
@@ -316,7 +316,7 @@ def test_directions_zeros_and_offsets_of_an_owner_are_obeyed(tmp_path):
     assert set(temperature) == {31.0}
 
 
-def test_answers_of_others_have_no_effect_and_those_with_a_drives_own_identifier_count(board):
+def test_only_answers_with_the_identifier_of_the_master_or_the_drive_count(board):
     assert np.isnan(board.read()[:2]).all()
     for number, name, length in ((99, 0, 8), (0, 0, 8), (1, 5, 8), (1, 0, 6), (1, 0, 0)):
         board.put(name, bytes([number, *[255] * 7])[:length])
@@ -326,7 +326,7 @@ def test_answers_of_others_have_no_effect_and_those_with_a_drives_own_identifier
     np.testing.assert_allclose(board.read()[0], POSE, atol=STEPS[0])
 
 
-# Below the board's program.
+# With the board's program.
 
 
 def test_the_board_switches_drives_on_and_they_follow_its_commands(armed):
@@ -338,34 +338,34 @@ def test_the_board_switches_drives_on_and_they_follow_its_commands(armed):
     np.testing.assert_allclose(last.motor_angle, target, atol=0.01)
     np.testing.assert_allclose(last.motor_angle, [drive.angle for drive in armed.drives], atol=0.01)
     assert set(last.temperature) == {31}
-    order = np.array([drive.order for drive in armed.drives])
-    np.testing.assert_allclose(order[:, 0], target, atol=STEPS[0])
-    np.testing.assert_allclose(order[:, 2], HANDSHAKE.servo_kp, atol=STEPS[2])
-    np.testing.assert_allclose(order[:, 3], HANDSHAKE.servo_kd, atol=STEPS[3])
+    command = np.array([drive.command for drive in armed.drives])
+    np.testing.assert_allclose(command[:, 0], target, atol=STEPS[0])
+    np.testing.assert_allclose(command[:, 2], HANDSHAKE.servo_kp, atol=STEPS[2])
+    np.testing.assert_allclose(command[:, 3], HANDSHAKE.servo_kd, atol=STEPS[3])
 
 
 def silence(board: Board) -> None:
-    """A drive hears, and is not heard."""
+    """A drive receives frames, but its answers are lost."""
     board.drives[7].mute = True
 
 
 def report_error(board: Board) -> None:
-    """A drive has switched itself off, and says so."""
+    """A drive has switched itself off, and reports it."""
     board.drives[7].error = 5
 
 
 def switch_off(board: Board) -> None:
-    """The bus is off: it carries nothing."""
+    """The bus is off and transmits nothing."""
     board.room = 0
 
 
 def fill(board: Board) -> None:
-    """The bus is full: other frames leave room for seven in a servo step."""
+    """The bus is full: other frames leave room for seven per servo step."""
     board.room = 7
 
 
 def overheat(board: Board) -> None:
-    """A drive has 120 degC."""
+    """A drive reports 120 degC."""
     board.drives[7].temperature = 120
 
 
@@ -376,48 +376,48 @@ def overheat(board: Board) -> None:
         (report_error, Reason.MOTOR_OFF, "the drive of motor 07 reports an error"),
         (switch_off, Reason.MOTOR_OFF, "the drive of motor 00 does not answer"),
         (fill, Reason.MOTOR_OFF, "the drive of motor 07 does not answer"),
-        (overheat, Reason.TEMPERATURE, "a motor has 120 degC; the limit is 88"),
+        (overheat, Reason.TEMPERATURE, "a motor is at 120 degC; the limit is 88"),
     ],
     ids=("silent", "error", "bus off", "bus full", "hot"),
 )
-def test_a_fault_damps_all_motors_until_it_is_gone_and_the_robot_is_armed_anew(armed, fault, reason, text):
+def test_a_fault_damps_all_motors_until_it_ends_and_the_robot_is_armed_again(armed, fault, reason, text):
     armed.run(10, POSE + 0.1)
-    before = len(armed.drives[0].obeyed)
+    before = len(armed.drives[0].commands)
     fault(armed)
-    # 10 ms of silence, the answers that were on their way, and the step that finds it.
+    # 10 ms of silence, the answers in transit, and the step that detects it.
     armed.run(7, POSE + 0.1)
     assert armed.mode == (Mode.FAULT, reason)
     assert armed.faults[-1].text == text
-    ended = armed.drives[0].obeyed[before + 6 :]
-    assert not any(order[2] for order in ended)
+    ended = armed.drives[0].commands[before + 6 :]
+    assert not any(command[2] for command in ended)
     heard = [drive for number, drive in enumerate(armed.drives) if number < armed.room]
     for drive in heard:
-        assert drive.order[2] == 0.0
-        assert drive.order[3] == pytest.approx(HANDSHAKE.servo_kd[0], abs=STEPS[3])
-        assert abs(drive.order[4]) < STEPS[4]
-    # It does not arm while it lasts; drives that the bus does not reach have damped themselves.
+        assert drive.command[2] == 0.0
+        assert drive.command[3] == pytest.approx(HANDSHAKE.servo_kd[0], abs=STEPS[3])
+        assert abs(drive.command[4]) < STEPS[4]
+    # It cannot be armed during the fault; drives that the bus does not reach have damped themselves.
     armed.run(round(HANDSHAKE.rearm_after / DT))
-    assert not any(drive.order[2] for drive in armed.drives)
+    assert not any(drive.command[2] for drive in armed.drives)
     armed.send(messages.Arm(7, Mode.POSITION, 0.006, 0.001))
     armed.run(1)
     assert armed.mode == (Mode.FAULT, reason)
     assert armed.faults[-1].text == text
-    # When it is gone no drive gets an order of before; one that was without power meanwhile is switched on.
-    orders = [len(drive.obeyed) for drive in armed.drives]
+    # After the fault no drive gets an outdated command; a drive that had no power is switched on.
+    commands = [len(drive.commands) for drive in armed.drives]
     armed.room = 1000
     for drive in armed.drives:
         drive.mute, drive.error, drive.temperature = False, 0, 31
         drive.on = fault is not switch_off
     armed.run(20)
     assert not any(
-        order[2] for drive, count in zip(armed.drives, orders, strict=True) for order in drive.obeyed[count:]
+        command[2] for drive, count in zip(armed.drives, commands, strict=True) for command in drive.commands[count:]
     )
     assert armed.mode == (Mode.FAULT, reason)
     assert armed.arm() == (Mode.POSITION, Reason.NONE)
-    assert all(drive.on and drive.order[2] for drive in armed.drives)
+    assert all(drive.on and drive.command[2] for drive in armed.drives)
 
 
-def test_a_drive_that_is_never_there_keeps_the_board_from_arming(board):
+def test_a_missing_drive_prevents_arming(board):
     board.c.board_start()
     board.drives[11].mute = True
     board.send(messages.Hello(7, 0.002))
@@ -426,10 +426,10 @@ def test_a_drive_that_is_never_there_keeps_the_board_from_arming(board):
     assert board.faults[0].reason == Reason.MOTOR_OFF
     assert board.faults[0].text == "the drive of motor 11 does not answer"
     assert np.isnan(board.states[-1].motor_angle[11])
-    assert all(drive.order[2] == 0.0 for drive in board.drives)
+    assert all(drive.command[2] == 0.0 for drive in board.drives)
 
 
 @needs_qemu
-def test_it_fits_the_stm32f405_with_its_bus():
+def test_the_firmware_fits_the_stm32f405():
     drivers = "drivers/can_motors.c stm32f4/can_bus.c drivers/no_sensors.c"
     assert compiled(ROBOT, None, None, "board.elf", f"DRIVERS={drivers}").exists()

@@ -1,4 +1,4 @@
-"""Emulated robots, and an experiment that one of them went through."""
+"""Emulated robots, and the recording of an experiment with one of them."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def nominal(robot: RobotDescription) -> PhysicalParams:
 
 @pytest.fixture(scope="session")
 def healthy() -> Iterator[EmulatorHere]:
-    """A robot on its rack that several tests use, one after another."""
+    """Emulated robot on its rack, which several tests share."""
     pytest.importorskip("mujoco")
     with emulators(EmulatorHere) as start:
         yield start("--lockstep", "--rack")
@@ -41,15 +41,15 @@ def healthy() -> Iterator[EmulatorHere]:
 
 @pytest.fixture(scope="session")
 def make_plan(robot: RobotDescription) -> Callable[..., Plan]:
-    """A plan of 3.5 s: unfold, a sweep, steps, a pulse of duty, and a part that is not fitted."""
+    """Plan of 3.5 s: unfold, a sweep, steps, a pulse of duty, and a held-out sweep."""
 
     def make(limits: ExperimentLimits | None = None) -> Plan:
-        middle, each = robot.pose_angles(0.0, MIDDLE), np.ones(robot.num_motors)
+        middle, ones = robot.pose_angles(0.0, MIDDLE), np.ones(robot.num_motors)
         jumps = middle + np.random.default_rng(1).uniform(-REACH, REACH, (3, robot.num_motors))
-        sweep = chirps(middle, REACH * each, 1.0, 3.0, 1.0, np.arange(robot.num_motors))
-        push = DUTY * each
+        sweep = chirps(middle, REACH * ones, 1.0, 3.0, 1.0, np.arange(robot.num_motors))
+        push = DUTY * ones
         phases = (
-            Phase("unfold", "all legs to the middle of their reach", 1.0, go_to(middle, 1.0), use="transition"),
+            Phase("unfold", "all legs to the middle of their range", 1.0, go_to(middle, 1.0), use="transition"),
             Phase("sweep", "every motor to both sides", 1.0, sweep),
             Phase("steps", "every motor jumps three times", 0.6, steps(jumps, 0.2)),
             Phase("centre", "all legs to the middle", 0.3, go_to(middle, 0.2), use="transition"),
@@ -57,8 +57,8 @@ def make_plan(robot: RobotDescription) -> Callable[..., Plan]:
             Phase("centre", "all legs to the middle", 0.3, go_to(middle, 0.2), use="transition"),
             Phase("sweep again", "every motor to both sides", 0.3, sweep, use="check"),
         )
-        # Legs of a robot on its rack hang down: their motors have further to go than the plan's angles.
-        limits = limits or ExperimentLimits(torque=2.8, angle_room=2.0)
+        # The legs of a robot on its rack hang down, outside the angles of the plan.
+        limits = limits or ExperimentLimits(torque=2.8, angle_margin=2.0)
         return Plan("motor", True, phases, middle - REACH, middle + REACH, DUTY, limits)
 
     return make
@@ -66,7 +66,7 @@ def make_plan(robot: RobotDescription) -> Callable[..., Plan]:
 
 @pytest.fixture(scope="session")
 def run_on(robot: RobotDescription) -> Callable[..., Recording]:
-    """Take a robot at a port through a plan."""
+    """Return a function that runs a plan on the robot at a port."""
 
     def run(port: str, plan: Plan, watch: PlainLines | None = None) -> Recording:
         link = open_link(port, robot.num_motors, lockstep=True)
@@ -82,7 +82,7 @@ def run_on(robot: RobotDescription) -> Callable[..., Recording]:
 
 @pytest.fixture(scope="session")
 def record(run_on: Callable[..., Recording]) -> Callable[..., list[Recording]]:
-    """Take an emulated robot with ideal sensors and these parameters through plans, all to their ends."""
+    """Return a function that runs plans to their end on an emulated robot with ideal sensors and given parameters."""
 
     def recordings(params: dict[str, float], *plans: Plan) -> list[Recording]:
         words = ["--lockstep", "--ideal-sensors", *(["--rack"] if plans[0].rack else [])]
@@ -97,5 +97,5 @@ def record(run_on: Callable[..., Recording]) -> Callable[..., list[Recording]]:
 
 @pytest.fixture(scope="session")
 def recorded(healthy: EmulatorHere, make_plan: Callable[..., Plan], run_on: Callable[..., Recording]) -> Recording:
-    """Recording of a whole experiment on a robot without faults."""
+    """Recording of a complete experiment with a robot without faults."""
     return run_on(healthy.port, make_plan())

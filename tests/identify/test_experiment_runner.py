@@ -1,4 +1,4 @@
-"""Experiments on emulated robots: what is recorded, and what ends them early."""
+"""Experiments on emulated robots: what is recorded, and what stops them early."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ MakePlan = Callable[..., Plan]
 RunOn = Callable[..., Recording]
 
 
-class Doing(PlainLines):
-    """Does something when a phase begins for the first time."""
+class ActionOnPhase(PlainLines):
+    """Monitor that calls a function when a phase begins for the first time."""
 
-    def __init__(self, phase: str, what: Callable[[], Any]) -> None:
+    def __init__(self, phase: str, action: Callable[[], Any]) -> None:
         super().__init__()
-        self.when, self.what, self.phases = phase, what, []
+        self.trigger, self.action, self.phases = phase, action, []
 
     def phase(self, name: str, duration: float) -> None:
         self.phases.append(name)
-        if self.phases.count(self.when) == 1 and name == self.when:
-            self.what()
+        if self.phases.count(self.trigger) == 1 and name == self.trigger:
+            self.action()
 
 
 def test_recording_holds_every_command_and_state_of_an_experiment(
@@ -47,26 +47,26 @@ def test_recording_holds_every_command_and_state_of_an_experiment(
     assert (meta["ended"], meta["experiment"], meta["rack"]) == (COMPLETE, "motor", True)
     assert meta["frames"] == {"received": len(recorded.time), "missing": 0, "damaged": 0}
     assert meta["resting_states"] == pytest.approx(100, abs=3)
-    # Once for servos, once for duties, once for servos again, and let go after each.
+    # Armed for servos, for duties, and for servos again, and disarmed after each.
     position, pwm, off = int(Mode.POSITION), int(Mode.PWM), int(Mode.DISARMED)
     assert [mode for _, mode in meta["mode_changes"]] == [position, off, pwm, off, position, off]
     moments = [moment for moment, _ in meta["mode_changes"]]
     assert moments == sorted(moments)
     assert [phase["name"] for phase in meta["phases"]] == [phase.name for phase in plan.phases]
-    # A command every period, and one more a phase, which holds its last target.
+    # One command per period, and one more per phase, which holds its last target.
     expected = [round(phase.duration / meta["period"]) + 1 for phase in plan.phases]
     np.testing.assert_array_equal(np.bincount(recorded.sent_phase.astype(int)), expected)
     assert np.all(np.diff(recorded.sent_number) > 0)
     for k, phase in enumerate(plan.phases):
         assert set(recorded.mode[recorded.phase_states(k)][2:-2]) == {int(phase.mode)}
-    # The robot follows: in the end it is where it was sent, but for the load and the readings' age.
+    # The motors follow the sweep.
     sweep = recorded.phase_states(1)
     assert np.ptp(recorded.motor_angle[sweep], axis=0).min() > 0.2
     assert recorded.motor_angle.shape == (len(recorded.time), robot.num_motors)
 
 
 def test_recordings_in_lockstep_are_identical(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
-    """However long the robot takes to answer: one is a process that stands still for a while."""
+    """They do not depend on how long the robot takes to answer: one emulator is suspended for a while."""
     plan = make_plan()
     plan = replace(plan, phases=tuple(phase for phase in plan.phases if "sweep" not in phase.name))
     slow = emulate("--lockstep", "--rack")
@@ -76,7 +76,10 @@ def test_recordings_in_lockstep_are_identical(emulate: Callable[..., Any], make_
         threading.Timer(0.3, slow.process.send_signal, [signal.SIGCONT]).start()
 
     with emulators(EmulatorHere) as start:
-        recordings = [run_on(start("--lockstep", "--rack").port, plan), run_on(slow.port, plan, Doing("push", hold_up))]
+        recordings = [
+            run_on(start("--lockstep", "--rack").port, plan),
+            run_on(slow.port, plan, ActionOnPhase("push", hold_up)),
+        ]
     assert len({len(one.time) for one in recordings}) == 1
     assert len({one.meta["digest"] for one in recordings}) == 1
     assert all(one.meta["mode_changes"] == recordings[0].meta["mode_changes"] for one in recordings)
@@ -84,7 +87,7 @@ def test_recordings_in_lockstep_are_identical(emulate: Callable[..., Any], make_
 
 @pytest.fixture
 def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[..., str]:
-    """Why an experiment ended early; what it recorded until then is kept, and the robot is damped."""
+    """Function that runs a plan which stops early, checks recording and robot, and returns the reason."""
 
     def run(plan: Plan, watch: PlainLines | None = None) -> str:
         link = open_link(healthy.port, robot.num_motors, lockstep=True)
@@ -94,7 +97,7 @@ def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[...
         link.wait_for(lambda: link.last_state().mode != Mode.POSITION, 0.1)
         assert link.last_state().mode in (Mode.FAULT, Mode.DISARMED)
         link.close()
-        with pytest.raises(SurefootError, match="did not come to its end"):
+        with pytest.raises(SurefootError, match="stopped early"):
             load_recording(recording.save(tmp_path / "recording.npz"), robot)
         assert "\n" not in recording.meta["ended"]
         return str(recording.meta["ended"])
@@ -103,41 +106,41 @@ def ended(healthy: Any, robot: RobotDescription, tmp_path: Path) -> Callable[...
 
 
 @pytest.mark.parametrize(
-    ("limits", "why"),
+    ("limits", "reason"),
     [
-        (ExperimentLimits(torque=2.8, angle_room=-0.28), "beyond the plan's angles; at most -0.28"),
-        (ExperimentLimits(torque=0.1, angle_room=2.0, torque_time=0.02), "gave more than 0.1 N m for 0.02 s"),
-        (ExperimentLimits(torque=2.8, angle_room=2.0, temperature=15.0), "degC; at most 15"),
-        (ExperimentLimits(torque=2.8, angle_room=2.0, duration=1.7), "it took more than 1.7 s"),
+        (ExperimentLimits(torque=2.8, angle_margin=-0.28), "beyond the plan's angles; at most -0.28"),
+        (ExperimentLimits(torque=0.1, angle_margin=2.0, torque_time=0.02), "exceeded 0.1 N m for 0.02 s"),
+        (ExperimentLimits(torque=2.8, angle_margin=2.0, temperature=15.0), "degC; at most 15"),
+        (ExperimentLimits(torque=2.8, angle_margin=2.0, duration=1.7), "it took more than 1.7 s"),
     ],
     ids=["angle", "torque", "temperature", "time"],
 )
-def test_passing_a_limit_of_the_plan_ends_the_experiment(
-    ended: Callable[..., str], make_plan: MakePlan, limits: ExperimentLimits, why: str
+def test_exceeding_a_limit_of_the_plan_stops_the_experiment(
+    ended: Callable[..., str], make_plan: MakePlan, limits: ExperimentLimits, reason: str
 ):
-    assert why in ended(make_plan(limits))
+    assert reason in ended(make_plan(limits))
 
 
-def test_a_signal_of_the_operator_ends_the_experiment(ended: Callable[..., str], make_plan: MakePlan):
-    watch = Doing("steps", lambda: os.kill(os.getpid(), signal.SIGINT))
+def test_a_signal_of_the_operator_stops_the_experiment(ended: Callable[..., str], make_plan: MakePlan):
+    watch = ActionOnPhase("steps", lambda: os.kill(os.getpid(), signal.SIGINT))
     assert ended(make_plan(), watch) == "stopped by the operator (in phase 'steps')"
     assert watch.phases == ["unfold", "sweep", "steps"]
 
 
-def test_a_damped_robot_ends_the_experiment(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
+def test_a_damped_robot_stops_the_experiment(healthy: Any, robot: RobotDescription, make_plan: MakePlan):
     link = open_link(healthy.port, robot.num_motors, lockstep=True)
     link.connect()
-    recording = run_plan(link, make_plan(), robot, Doing("sweep", link.damp))
+    recording = run_plan(link, make_plan(), robot, ActionOnPhase("sweep", link.damp))
     link.close()
     assert (
         recording.meta["ended"]
-        == "the robot has damped its motors (host): the operator asked for it (in phase 'sweep')"
+        == "the robot has damped its motors (host): the operator requested it (in phase 'sweep')"
     )
 
 
-def test_a_closed_port_ends_the_experiment(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
+def test_a_closed_port_stops_the_experiment(emulate: Callable[..., Any], make_plan: MakePlan, run_on: RunOn):
     emulator = emulate("--lockstep", "--rack")
-    recording = run_on(emulator.port, make_plan(), Doing("sweep", emulator.process.kill))
+    recording = run_on(emulator.port, make_plan(), ActionOnPhase("sweep", emulator.process.kill))
     assert recording.meta["ended"] != COMPLETE
     assert len(recording.time) > 400
     assert recording.sent_phase.max() == 0

@@ -1,4 +1,4 @@
-"""Fits of short experiments on emulated robots, whose parameters are hidden from the fits."""
+"""Fits of short experiments on emulated robots with hidden parameters."""
 
 from __future__ import annotations
 
@@ -38,14 +38,14 @@ GROUND = {
     "contact_stiffness": 2000.0,
     "motor_strength": 0.8,
 }
-"""A heavy robot with weak motors on a floor that holds its feet, which are hard to drag."""
+"""A heavy robot with weak motors on a floor with high friction, so that its feet are hard to drag."""
 Record = Callable[..., list[Recording]]
 Short = dict[str, float]
-"""Lengths [s] of phases by name; of equal names the first `count` ones are kept."""
+"""Durations [s] of phases by name."""
 
 
 def shortened(plan: Plan, lengths: Short, counts: dict[str, int]) -> Plan:
-    """A plan with some of its phases, and of these not all to their end."""
+    """Return a plan with selected phases and shorter durations; `counts` phases of a name are kept, by default one."""
     seen: dict[str, int] = {}
     phases = []
     for phase in plan.phases:
@@ -77,10 +77,10 @@ def grounded(robot: RobotDescription, record: Record) -> Recording:
     """Most of both experiments on the ground."""
     mass, contact = (EXPERIMENTS[name].plan(robot) for name in ("mass", "contact"))
     first = next(k for k, phase in enumerate(mass.phases) if phase.use != "transition")
-    ways = {phase.name: phase.duration for phase in mass.phases[:first]}
+    durations = {phase.name: phase.duration for phase in mass.phases[:first]}
     drags = shortened(contact, {"drop": 1.2, "drag": 3.0}, {"drop": 2, "drag": 2})
     rest = shortened(mass, {"stand still": 0.6, "squat slowly": 1.0, "nod": 3.0, "nod back": 0.6}, {})
-    rise = shortened(mass, ways, {})
+    rise = shortened(mass, durations, {})
     return record(GROUND, replace(mass, phases=(*rise.phases, *drags.phases, *rest.phases)))[0]
 
 
@@ -112,7 +112,7 @@ def test_estimates_reduce_errors_on_held_out_phases(motors: Identification):
     assert [check.what for check in motors.checks] == ["motor angles", "motor speeds", "motor torques"]
     for check in motors.checks:
         assert check.after < 0.05 * check.before
-    # Torque over current is the sheet's, as the robot's is.
+    # The torque curve of the robot is the curve of the data sheet.
     curve = motors.series[-1]
     assert curve.points
     assert len(curve.x) > 5
@@ -133,15 +133,15 @@ def test_a_leg_with_a_motor_that_never_moves_is_not_identifiable(
     assert recording.still_motors == {3}
     prior = nominal.with_values(robot, **RACK)
     assert not [u for u in rack_unknowns(robot, prior, 0.0173, moving_legs(robot, recording)) if u.index in (2, 3)]
-    # It is a motor of the back left leg, with motor 2.
+    # Motors 2 and 3 belong to the back left leg.
     fit = fit_on_rack(robot, recording, segment_from_recording(recording, 1, 2), prior, ignore_progress)
     estimates = rack_estimates(robot, fit, prior)
     unidentifiable = [item for item in estimates if not item.identifiable and item.index is not None]
     names = ("motor_strength", "motor_friction", "motor_viscous_friction")
     assert [(item.name, item.index) for item in unidentifiable] == [(name, motor) for motor in (2, 3) for name in names]
-    # The prior's values stay, and estimates of the other motors do not change.
+    # Prior values are kept, and estimates of the other motors do not change.
     assert [item.value for item in unidentifiable] == [0.9, 0.02, 0.002] * 2
-    # Only servos moved: with all of these twice as large a motor would do the same.
+    # Only servo motion was recorded, which does not change if all these parameters are scaled together.
     value = {item.name: item.value for item in estimates if item.index is None}
     scaled = ["torque_constant", "resistance", "servo_kp", "servo_kd"]
     assert [item.name for item in estimates if not item.identifiable and item.index is None] == scaled
@@ -163,7 +163,7 @@ def test_latency_experiment_identifies_latencies_by_spikes_and_by_replay(
     result = EXPERIMENTS["latency"].fit(robot, rack[1], prior, motors.sensors, lambda text, cost: message.append(text))
     assert result.estimate("control_latency").value == pytest.approx(RACK["control_latency"], abs=5e-5)
     assert result.estimate("servo_latency").value == pytest.approx(RACK["servo_latency"], abs=5e-5)
-    # An engine's step moves a motor as far in its first step as it should have in 1.4 of them.
+    # In its first step, the engine moves a motor as far as it should move in 1.4 steps.
     for name in ("spike_at_robot", "spike_at_host"):
         assert result.estimate(name).value == pytest.approx(RACK["control_latency"], abs=1e-3)
     assert set(result.identified_names()) == {"control_latency", "servo_latency", "voltage"}
@@ -171,7 +171,7 @@ def test_latency_experiment_identifies_latencies_by_spikes_and_by_replay(
     assert any("responses are clear" in note for note in result.notes)
 
 
-def test_latency_experiment_refuses_a_recording_without_responses(
+def test_latency_experiment_rejects_a_recording_without_responses(
     robot: RobotDescription, rack: tuple[Recording, Recording], nominal: PhysicalParams
 ):
     weak = replace(rack[1], meta={**rack[1].meta, "phases": [dict(phase) for phase in rack[1].meta["phases"]]})
@@ -194,7 +194,8 @@ def test_mass_experiment_identifies_mass_inertia_and_centre(
     inertia = result.estimate("base_inertia_ratio")
     assert inertia.identifiable
     assert inertia.value == pytest.approx(1.3, rel=0.05)
-    # The body's centre is 50 mm before the base's origin, and has 3.353 of 5.993 kg; legs are alike before and behind.
+    # The body has 3.353 of the base's 5.993 kg, with its centre 50 mm in front of the base's origin; front and back
+    # legs are equal.
     assert result.estimate("centre_of_mass_x").value == pytest.approx(0.05 * 3.353 * 1.15 / total, abs=2e-3)
     assert result.estimate("centre_of_mass_y").value == pytest.approx(0.0, abs=2e-3)
     assert [check.what for check in result.checks] == ["weight on the feet", "moment about y"]
@@ -204,7 +205,7 @@ def test_mass_experiment_identifies_mass_inertia_and_centre(
 
 
 def weighed(robot: RobotDescription, nominal: PhysicalParams) -> PhysicalParams:
-    """Earlier results for motors and mass of the robot whose feet are dragged."""
+    """Return the parameters after the motor and mass experiments, as the contact experiment needs them."""
     return nominal.with_values(robot, **{name: GROUND[name] for name in GROUND if not name.startswith("contact")})
 
 
@@ -231,7 +232,7 @@ def test_friction_of_feet_that_do_not_slide_is_not_identifiable(
     assert not friction.identifiable
     assert friction.value == nominal.contact_friction[0]
     assert friction.interval == (0.05, 3.0)
-    assert "feet that were dragged did not slide: their friction is not identifiable" in result.notes
+    assert "the dragged feet did not slide: friction is not identifiable" in result.notes
     assert set(result.identified_names()) == {"contact_stiffness"}
 
 
@@ -242,13 +243,13 @@ def test_friction_of_feet_that_do_not_slide_is_not_identifiable(
         (
             "roll_pitch_yaw",
             lambda x: x + np.array([1.4, 0, 0]),
-            r"tilts by 1\.\d\d rad; one that stands stays within 0\.3",
+            r"tilts by 1\.\d\d rad; at most 0\.3 while it stands",
         ),
-        # Its belly lies on something: its motors carry nothing.
+        # The belly rests on something, so the motors carry nothing.
         ("motor_torque", lambda x: 0.02 * x, "feet carry"),
     ],
 )
-def test_ground_experiments_refuse_a_robot_that_does_not_stand(
+def test_ground_experiments_reject_a_robot_that_does_not_stand(
     name: str,
     array: str,
     change: Callable[[np.ndarray], np.ndarray],

@@ -1,4 +1,4 @@
-"""Fits whose answers are known by hand; what their intervals say, and what they must not say."""
+"""Fits with known solutions, and the coverage of their intervals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def unknown(name: str = "a", start: float = 0.0, **more: float | int | None) -> 
 
 
 class Linear:
-    """Residuals A x - y; counts the candidates that it is asked for."""
+    """Model with residuals A x - y, which counts the evaluated candidates."""
 
     def __init__(self, matrix: Array, data: Array, unknowns: list[Unknown], blocks: Array | None = None) -> None:
         self.matrix, self.data, self.unknowns = np.asarray(matrix, float), np.asarray(data, float), unknowns
@@ -37,14 +37,14 @@ class Linear:
     def affected(self, k: int) -> NDArray[np.bool_] | None:
         return self.matrix[:, k] != 0
 
-    def holding(self, free: NDArray[np.bool_], values: Array) -> Linear:
-        left = self.data - self.matrix[:, ~free] @ values[~free]
-        some = [one for one, kept in zip(self.unknowns, free, strict=True) if kept]
-        return Linear(self.matrix[:, free], left, some, self.blocks)
+    def restrict(self, free: NDArray[np.bool_], values: Array) -> Linear:
+        data = self.data - self.matrix[:, ~free] @ values[~free]
+        unknowns = [one for one, is_free in zip(self.unknowns, free, strict=True) if is_free]
+        return Linear(self.matrix[:, free], data, unknowns, self.blocks)
 
 
 class Decay:
-    """Values a exp(-b t), measured with unit noise."""
+    """Model of values a exp(-b t), measured with unit noise."""
 
     time = np.linspace(0.0, 3.0, 60)
 
@@ -60,7 +60,7 @@ class Decay:
 
 
 def line(scatter: float) -> Linear:
-    """a + b x through three points; what is left over is -1/2, 1, -1/2 times `scatter`."""
+    """Return a model a + b x of three points; the residuals are -1/2, 1, -1/2 times `scatter`."""
     x = np.array([-1.0, 0.0, 1.0])
     data = 3.0 + 2.5 * x + scatter * np.array([0.5, -1.0, 0.5])
     return Linear(np.stack([np.ones(3), x], axis=1), data, [unknown("a"), unknown("b")])
@@ -70,32 +70,33 @@ def test_a_line_through_three_points():
     fit = fit_least_squares(line(1.0))
     np.testing.assert_allclose(fit.values, [3.0, 2.5], atol=1e-7)
     np.testing.assert_allclose(fit.residuals, [-0.5, 1.0, -0.5], atol=1e-6)
-    # Residuals are smaller than their noise: H^-1 counts, H = diag(3, 2).
+    # Residuals are smaller than their noise, so the covariance is H^-1 with H = diag(3, 2).
     np.testing.assert_allclose(fit.covariance, np.diag([1 / 3, 1 / 2]), atol=1e-5)
     np.testing.assert_allclose(fit.deviation, [3**-0.5, 2**-0.5], rtol=1e-4)
     assert (fit.identifiable.all(), fit.strongest_correlations()) == (True, [])
 
 
-def test_residuals_larger_than_their_noise_count():
-    # Gradients are J_i r_i: sums of squares 16 (1/4 + 1 + 1/4) and 16 (1/4 + 1/4), 3 of 2 blocks free; H = diag(3, 2).
+def test_residuals_larger_than_their_noise_widen_intervals():
+    # Gradients are J_i r_i, with sums of squares 16 (1/4 + 1 + 1/4) and 16 (1/4 + 1/4); 3 blocks, 2 degrees of freedom;
+    # H = diag(3, 2).
     fit = fit_least_squares(line(4.0))
     np.testing.assert_allclose(np.diag(fit.covariance), [24 * 1.5 / 9, 8 * 1.5 / 4], rtol=1e-4)
 
 
 def test_a_prior_counts_as_a_residual():
-    # Four measurements of 2 and a prior of 0 +- 1/2, which weighs as much as four: halfway.
+    # Four measurements of 2 and a prior of 0 +- 1/2, which has the weight of four measurements: the mean is 1.
     model = Linear(np.ones((4, 1)), np.full(4, 2.0), [unknown(prior=0.5)])
     fit = fit_least_squares(model)
     assert fit.values[0] == pytest.approx(1.0)
     assert len(fit.residuals) == 4
-    # H = 4 + 4; four gradients of -1, 4 of 3 blocks free, and the prior's own 4.
+    # H = 4 + 4; four gradients of -1 in 4 blocks with 3 degrees of freedom, and 4 from the prior.
     assert fit.covariance[0, 0] == pytest.approx((4 * 4 / 3 + 4) / 64, rel=1e-4)
 
 
 def test_values_stay_within_bounds():
     model = Linear(np.ones((4, 1)), np.full(4, 2.0), [unknown(high=1.5)])
     assert fit_least_squares(model).values[0] == pytest.approx(1.5, abs=1e-9)
-    # A start beyond them begins at them.
+    # A start outside the bounds is moved to the bounds.
     costs: list[float] = []
     fit_least_squares(model, np.array([7.0]), lambda step, cost: costs.append(cost))
     assert costs[0] == pytest.approx(0.25)
@@ -108,7 +109,7 @@ def test_candidates_stay_within_bounds():
             assert np.all((low <= values) & (values <= high)), values
             return super().residuals(values)
 
-    # Steps that are no power of two: numbers of steps are rounded on their way to the solver and back.
+    # Steps that are not powers of two: scaled values are rounded on their way to the solver and back.
     rng = np.random.default_rng(4)
     for _ in range(30):
         bounds = [(-float(a), float(b)) for a, b in rng.uniform(0.1, 0.9, (3, 2))]
@@ -124,31 +125,31 @@ def test_unknowns_of_one_colour_share_a_candidate():
     plain = [unknown(name) for name in "abcd"]
     coloured = [replace(u, colour=k % 2) for k, u in enumerate(plain)]
     at = np.array([1.0, 2.0, 3.0, 1000.0])
-    jacobians, tried = [], []
+    jacobians, counts = [], []
     for unknowns in (plain, coloured):
         model = Linear(matrix, np.zeros(12), unknowns)
         jacobians.append(forward_jacobian(model, at, matrix @ at))
-        tried.append(model.candidates)
-    assert tried == [4, 2]
+        counts.append(model.candidates)
+    assert counts == [4, 2]
     np.testing.assert_allclose(jacobians[0], matrix, atol=1e-6)
     np.testing.assert_allclose(jacobians[0], jacobians[1], atol=1e-8)
 
 
 def test_a_derivative_at_a_bound_steps_inward():
-    asked: list[float] = []
+    evaluated: list[float] = []
 
-    class Watched(Linear):
+    class Logged(Linear):
         def residuals(self, values: Array) -> Array:
-            asked.extend(values[:, 0])
+            evaluated.extend(values[:, 0])
             return super().residuals(values)
 
-    model = Watched([[2.0]], np.zeros(1), [unknown(high=5.0)])
+    model = Logged([[2.0]], np.zeros(1), [unknown(high=5.0)])
     np.testing.assert_allclose(forward_jacobian(model, np.array([5.0]), np.array([10.0])), [[2.0]])
-    assert asked == [4.999]
+    assert evaluated == [4.999]
 
 
-def test_residuals_of_one_block_count_as_one():
-    # 20 blocks of 10 equal residuals, +1 or -1: they determine the mean as well as 20 measurements do, not 200.
+def test_residuals_of_one_block_count_as_one_measurement():
+    # 20 blocks of 10 equal residuals, +1 or -1, determine the mean like 20 measurements, not 200.
     offsets = np.repeat(np.tile([1.0, -1.0], 10), 10)
     blocks = np.repeat(np.arange(20), 10)
     together = fit_least_squares(Linear(np.ones((200, 1)), offsets, [unknown()], blocks))
@@ -178,52 +179,52 @@ def test_terms_of_a_sum_are_not_identifiable_but_their_sum_is():
     ((first, second, strength),) = fit.strongest_correlations()
     assert (first, second) == ("a", "b[3]")
     assert strength < -0.99
-    # Their sum is known as well as if it were one, from ten values: half of the 20 blocks depend on it.
+    # Their sum is known like a single unknown, from ten values: half of the 20 blocks depend on it.
     total = np.array([1.0, 1.0, 0.0])
     assert np.sqrt(total @ fit.covariance @ total) == pytest.approx(0.1**0.5, rel=0.05)
 
 
-def test_intervals_hold_the_truth_in_95_percent():
+def test_intervals_contain_the_true_values_in_95_percent():
     rng, truth = np.random.default_rng(7), np.array([30.0, 0.8])
     clean = truth[0] * np.exp(-truth[1] * Decay.time)
     inside = []
     for _ in range(200):
         fit = fit_least_squares(Decay(clean + rng.normal(size=60)))
         inside.append(np.abs(fit.values - truth) <= NORMAL_95 * fit.deviation)
-    share = np.mean(inside)
-    assert 0.92 <= share <= 0.985, share
+    coverage = np.mean(inside)
+    assert 0.92 <= coverage <= 0.985, coverage
 
 
 def test_a_converged_fit_ends():
-    # Finite differences of a rounded model: no step helps any more, and none must be tried again and again.
+    # With finite differences of a rounded model no further step helps; the fit must end instead of trying more.
     rng = np.random.default_rng(3)
 
     class Rounded(Decay):
-        tried = 0
+        evaluations = 0
 
         def residuals(self, values: Array) -> Array:
-            self.tried += len(values)
+            self.evaluations += len(values)
             return np.round(super().residuals(values), 7)
 
     progress: list[tuple[int, float]] = []
     model = Rounded(30.0 * np.exp(-0.8 * Decay.time) + rng.normal(size=60))
     fit = fit_least_squares(model, report=lambda k, cost: progress.append((k, cost)))
-    assert model.tried < 40
+    assert model.evaluations < 40
     assert [k for k, _ in progress] == list(range(1, len(progress) + 1))
     costs = [cost for _, cost in progress]
     assert costs == sorted(costs, reverse=True)
     assert np.mean(fit.residuals**2) <= costs[-1] * (1 + 1e-9)
 
 
-def test_fit_refuses_residuals_that_are_not_finite():
+def test_fit_rejects_residuals_that_are_not_finite():
     model = Linear(np.ones((4, 1)), np.full(4, np.nan), [unknown()])
-    with pytest.raises(SurefootError, match="breaks down where the fit begins"):
+    with pytest.raises(SurefootError, match="diverges with the initial parameters"):
         fit_least_squares(model)
 
 
-def test_what_data_do_not_determine_is_held_and_widens_the_rest():
+def test_undetermined_unknowns_are_held_and_widen_the_others():
     draw = np.random.default_rng(1)
-    # Only a + b shows; a is known to 100, b to 1 before.
+    # Only a + b affects the residuals; the priors are 100 for a and 1 for b.
     unknowns = [unknown("a", 0.0, prior=100.0), unknown("b", 2.0, prior=1.0)]
     data = 7.0 + draw.normal(0, 1, 400)
     model = Linear(np.ones((400, 2)), data, unknowns)
@@ -233,7 +234,7 @@ def test_what_data_do_not_determine_is_held_and_widens_the_rest():
     assert held.held is not None
     assert held.held.tolist() == [False, True]
     assert held.values == pytest.approx([data.mean() - 2.0, 2.0], abs=0.01)
-    # a is off by what b is off; their sum is known.
+    # The error of a is the negative error of b; their sum is known.
     assert held.deviation == pytest.approx([1.0, 1.0], rel=0.02)
     assert np.sqrt(np.ones(2) @ held.covariance @ np.ones(2)) == pytest.approx(0.05, rel=0.2)
 
@@ -245,14 +246,14 @@ def test_considered_unknowns_widen_intervals_and_are_never_fitted():
     considered = unknown("c", 0.0, prior=0.3)
     data = 3.0 + draw.normal(0, 1, 400)
     model = Linear(matrix, data, [unknown("a", 0.0, prior=100.0), considered])
-    alone = model.holding(np.array([True, False]), np.zeros(2))
-    held = hold_unidentifiable(model, fit_least_squares(alone), [considered])
-    assert (held.considers, held.held.tolist()) == (True, [False, True])
+    restricted = model.restrict(np.array([True, False]), np.zeros(2))
+    held = hold_unidentifiable(model, fit_least_squares(restricted), [considered])
+    assert (held.has_considered, held.held.tolist()) == (True, [False, True])
     assert held.values == pytest.approx([data.mean(), 0.0], abs=1e-3)
-    # Half of what is not known of c, as residuals hardly show it: 0.5 x 0.3, beside 1 / sqrt(400).
+    # Residuals hardly show c, so half of its prior uncertainty, 0.5 x 0.3, adds to 1 / sqrt(400).
     assert held.deviation[0] == pytest.approx(np.hypot(0.05, 0.15), rel=0.25)
-    # Residuals that leave no room for it make it count less.
+    # If larger errors of c would show in the residuals, it adds less.
     sharp = Linear(100 * matrix, 300.0 + draw.normal(0, 1, 400), model.unknowns)
-    alone = sharp.holding(np.array([True, False]), np.zeros(2))
-    exact = hold_unidentifiable(sharp, fit_least_squares(alone), [considered])
+    restricted = sharp.restrict(np.array([True, False]), np.zeros(2))
+    exact = hold_unidentifiable(sharp, fit_least_squares(restricted), [considered])
     assert exact.deviation[0] < 0.01

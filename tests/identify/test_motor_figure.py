@@ -1,3 +1,5 @@
+"""Simulated motors that follow a log with each actuator model, and the log's file."""
+
 from __future__ import annotations
 
 from dataclasses import replace
@@ -15,7 +17,7 @@ MOTOR = "front_left_1_motor"
 
 
 def step_log(robot: RobotDescription, size: float, duration: float = 0.3) -> MotorLog:
-    """A target that is `size` [rad] from the resting pose from the start, sampled every servo step."""
+    """Return a log with a constant target `size` [rad] away from the resting pose, sampled every servo step."""
     time = np.arange(round(duration / 0.001) + 1) * 0.001
     rest = float(robot.resting_angles[robot.motor_names.index(MOTOR)])
     return MotorLog("step", time, np.full(len(time), rest + size), np.full(len(time), np.nan))
@@ -34,22 +36,22 @@ def test_sine_has_its_known_targets() -> None:
 
 def test_error_is_relative_to_measured_angles_or_targets(robot: RobotDescription) -> None:
     log, angle = step_log(robot, 0.1, 0.01), np.linspace(0.0, 0.1, 11)
-    # Without a measurement the target is what is missed.
+    # Without measurements, the error is relative to the targets.
     assert log.error(angle) == pytest.approx(np.sqrt(np.mean((angle - log.target) ** 2)))
-    # With one, only where there is one.
+    # With measurements, only measured rows count.
     measured = np.where(np.arange(len(angle)) < 3, angle + 0.03, np.nan)
     assert replace(log, angle=measured).error(angle) == pytest.approx(0.03)
 
 
-def test_a_constraint_motor_closes_in_with_its_time_constant(robot: RobotDescription) -> None:
-    # k_d / k_p + dt = 16 ms: after n steps (15 / 16)^n of a small error is left; the constraint knows no inertia.
+def test_a_constraint_motor_approaches_its_target_with_its_time_constant(robot: RobotDescription) -> None:
+    # k_d / k_p + dt = 16 ms: after n steps (15 / 16)^n of a small error remains, independent of inertia.
     size = 0.02
     log = step_log(robot, size, 0.05)
     angle = follow(robot, log)["constraint"]
     steps = np.arange(len(angle))
-    # The first target is held while the motor comes to rest, so the first angle is the target already ...
+    # The first target is held while the motor comes to rest, so the first angle already equals the target.
     np.testing.assert_allclose(angle, log.target, atol=1e-4)
-    # ... and what comes later starts from there.
+    # Later targets start from there.
     target = np.where(steps < 1, log.target[0], log.target[0] + size)
     angle = follow(robot, replace(log, target=target))["constraint"]
     left = (15 / 16) ** np.maximum(steps - 1, 0)
@@ -81,14 +83,14 @@ def test_a_log_is_written_and_read(tmp_path: Path) -> None:
         ("time,target,angle\n0,nan,1\n1,1,1\n", "must be finite"),
     ],
 )
-def test_a_table_that_is_no_motor_log_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_a_table_that_is_not_a_motor_log_is_rejected(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "log.csv"
     path.write_text(text)
     with pytest.raises(SurefootError, match=message):
         MotorLog.read(path)
 
 
-def test_motor_figure_refuses_a_missing_log_and_motor(tmp_path: Path, robot: RobotDescription) -> None:
+def test_motor_figure_rejects_a_missing_log_and_motor(tmp_path: Path, robot: RobotDescription) -> None:
     with pytest.raises(SurefootError, match="can't be read"):
         MotorLog.read(tmp_path / "none.csv")
     with pytest.raises(SurefootError, match="motor 'tail' does not exist; choices: front_left_2_motor"):

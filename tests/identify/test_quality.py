@@ -1,4 +1,4 @@
-"""Recordings that can't be fitted are refused with a number and a rule: copies of a real one, each with one fault."""
+"""Recordings that can't be fitted are rejected with a number and a rule: copies of a real one, each with one fault."""
 
 from __future__ import annotations
 
@@ -59,21 +59,21 @@ def stuck(recording: Recording, states: np.ndarray, motor: int | slice) -> Recor
 
 def clipped(recording: Recording) -> tuple[Recording, float]:
     """A copy in which an angle is never read above a value."""
-    most = float(np.quantile(recording.motor_angle[in_phase(recording, SWEEP), 2], 0.7))
-    return column(recording, "motor_angle", 2, lambda x: np.minimum(x, most)), most
+    maximum = float(np.quantile(recording.motor_angle[in_phase(recording, SWEEP), 2], 0.7))
+    return column(recording, "motor_angle", 2, lambda x: np.minimum(x, maximum)), maximum
 
 
-def limited(recording: Recording) -> tuple[Recording, float]:
-    """A copy in which a torque is at a ceiling: legs in the air are light, this one is five times as heavy."""
-    ceiling = 5 * float(np.quantile(np.abs(recording.motor_torque[in_phase(recording, SWEEP), 1]), 0.6))
-    return column(recording, "motor_torque", 1, lambda x: np.clip(5 * x, -ceiling, ceiling)), ceiling
+def saturated(recording: Recording) -> tuple[Recording, float]:
+    """A copy in which a torque saturates; it is scaled by five, because legs in the air need little torque."""
+    limit = 5 * float(np.quantile(np.abs(recording.motor_torque[in_phase(recording, SWEEP), 1]), 0.6))
+    return column(recording, "motor_torque", 1, lambda x: np.clip(5 * x, -limit, limit)), limit
 
 
 def not_finite(recording: Recording, name: str) -> Recording:
     return column(recording, name, 3, lambda x: np.where(np.arange(len(x)) == 700, np.nan, x))
 
 
-def refused(recording: Recording, robot: RobotDescription) -> str:
+def rejected(recording: Recording, robot: RobotDescription) -> str:
     with pytest.raises(SurefootError, match=r"^the recording can't be fitted: ") as caught:
         check_recording(recording, robot)
     assert "\n" not in str(caught.value)
@@ -94,7 +94,7 @@ WRONG: dict[str, tuple[Callable[[Recording], Recording], str]] = {
         "100 frames, 10.0%, were lost or damaged on the link; at most 5%",
     ),
     "robot's clock": (
-        # A phase may lose its states by that.
+        # Otherwise a phase could lose its states, which would be reported first.
         lambda r: with_meta(
             jump(r, "time", -0.3), phases=[{**phase, "use": "transition"} for phase in r.meta["phases"]]
         ),
@@ -102,8 +102,11 @@ WRONG: dict[str, tuple[Callable[[Recording], Recording], str]] = {
     ),
     "host's clock": (lambda r: jump(r, "host_time", -0.3), "the host's clock goes back by 0.298 s"),
     "host's clock, sent": (lambda r: jump(r, "sent_time", -0.3), "the host's clock goes back by 0.298 s"),
-    "shifted clocks": (lambda r: jump(r, "host_time", 0.2), "the clocks of robot and host shift by 0.2"),
-    "a jump": (lambda r: jump(r, "host_time", 0.2), "by +0.200 s at once at"),
+    "shifted clocks": (
+        lambda r: jump(r, "host_time", 0.2),
+        "offset between the clocks of robot and host changes by 0.2",
+    ),
+    "a jump": (lambda r: jump(r, "host_time", 0.2), "with a jump of +0.200 s at"),
     "angle": (lambda r: not_finite(r, "motor_angle"), "motor_angle of {3} has values that are not finite"),
     "torque": (lambda r: not_finite(r, "motor_torque"), "motor_torque of {3} has values that are not finite"),
     "temperature": (lambda r: not_finite(r, "temperature"), "temperature of {3} has values that are not finite"),
@@ -115,49 +118,49 @@ WRONG: dict[str, tuple[Callable[[Recording], Recording], str]] = {
         lambda r: replace(r, motor_angle=np.full_like(r.motor_angle, 1.7)),
         "no motor moves by more than 2 mrad; are the motors powered?",
     ),
-    "stuck": (lambda r: stuck(r, in_phase(r, SWEEP)[50:250], 6), "the angle of {6} stands still at"),
+    "stuck": (lambda r: stuck(r, in_phase(r, SWEEP)[50:250], 6), "the angle of {6} stays at"),
     "no velocity": (
         lambda r: column(r, "motor_velocity", 4, np.zeros_like),
-        "{4} moves, and its velocity is 0 rad/s all the time",
+        "{4} moves, but its velocity is always 0 rad/s",
     ),
     "no torque": (
         lambda r: column(r, "motor_torque", 4, np.zeros_like),
-        "{4} moves, and its torque is 0 N m all the time",
+        "{4} moves, but its torque is always 0 N m",
     ),
 }
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_check_refuses_a_defective_recording(name: str, recorded: Recording, robot: RobotDescription):
+def test_check_rejects_a_defective_recording(name: str, recorded: Recording, robot: RobotDescription):
     change, message = WRONG[name]
-    assert message.format(*robot.motor_names) in refused(change(recorded), robot)
+    assert message.format(*robot.motor_names) in rejected(change(recorded), robot)
 
 
 def test_check_counts_lost_states(recorded: Recording, robot: RobotDescription):
-    # None of the first or last of a phase: nothing shows that such a one is missing.
+    # The first and last state of a phase are kept, because nothing shows that they are missing.
     gone = np.concatenate([in_phase(recorded, phase)[5:-1:8] for phase in (SWEEP, STEPS)])
     gaps = sum(len(in_phase(recorded, phase)) - 1 for phase in recorded.phases("fit", "check"))
-    message = refused(without(recorded, gone), robot)
+    message = rejected(without(recorded, gone), robot)
     assert f"{len(gone)} states, {len(gone) / gaps:.1%}, are missing between others; at most 5%" in message
 
 
-def test_check_refuses_clipped_readings(recorded: Recording, robot: RobotDescription):
-    doctored, most = clipped(recorded)
-    message = refused(doctored, robot)
-    assert f"the angle of {robot.motor_names[2]} stands still, at its greatest, at {most:.3f} rad for" in message
-    assert "of the time in which it is moved; at most 10%" in message
-    doctored, ceiling = limited(recorded)
-    message = refused(doctored, robot)
-    assert f"the torque of {robot.motor_names[1]} is at a ceiling of {ceiling:.3f} N m for" in message
+def test_check_rejects_clipped_readings(recorded: Recording, robot: RobotDescription):
+    altered, maximum = clipped(recorded)
+    message = rejected(altered, robot)
+    assert f"the angle of {robot.motor_names[2]} stays at its maximum of {maximum:.3f} rad for" in message
+    assert "of the time in which it is commanded to move; at most 10%" in message
+    altered, limit = saturated(recorded)
+    message = rejected(altered, robot)
+    assert f"the torque of {robot.motor_names[1]} is saturated at {limit:.3f} N m for" in message
 
 
 SOUND: dict[str, Callable[[Recording], Recording]] = {
     "as it is": lambda r: r,
-    "states lost on the way": lambda r: without(r, in_phase(r, 0)[::3]),
+    "states lost in a transition": lambda r: without(r, in_phase(r, 0)[::3]),
     "few lost frames": lambda r: with_meta(r, frames={"received": 960, "missing": 30, "damaged": 10}),
     "a small jump": lambda r: jump(r, "host_time", 0.05),
     "drift": lambda r: replace(r, host_time=r.host_time * 1.05 + 100.0),
-    # A leg that is held, as long as one likes, is no fault.
+    # A leg that is held for any length of time is not a defect.
     "held": lambda r: stuck(r, in_phase(r, 3), slice(None)),
 }
 

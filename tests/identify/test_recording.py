@@ -1,4 +1,4 @@
-"""A recording is read as it was written, or refused in one line."""
+"""Recordings are read as written, or rejected with a one-line error."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ ARRAYS = ("sent_value", "time", "motor_angle", "temperature")
 
 
 def saved(recording: Recording, path: Path, **meta: Any) -> Path:
-    """Write it with other entries."""
+    """Write a recording with changed metadata."""
     return replace(recording, meta={**recording.meta, **meta}).save(path)
 
 
-def refused(path: Path, robot: RobotDescription, experiment: str | None = None) -> str:
+def rejected(path: Path, robot: RobotDescription, experiment: str | None = None) -> str:
     with pytest.raises(SurefootError, match=f"^recording {path}: ") as caught:
         load_recording(path, robot, experiment)
     assert "\n" not in str(caught.value)
@@ -41,8 +41,8 @@ def test_recording_is_read_as_written(recorded: Recording, robot: RobotDescripti
     assert loaded.meta["ended"] == COMPLETE
 
 
-def test_arrival_of_commands_in_lockstep_is_their_sending(recorded: Recording):
-    # In lockstep a command comes when it is sent, to the resolution of a state's times.
+def test_commands_in_lockstep_arrive_when_they_are_sent(recorded: Recording):
+    # Within the time resolution of states.
     np.testing.assert_allclose(recorded.arrival, recorded.sent_time, atol=2e-5)
     assert abs(recorded.clock_offset) < 2e-5
 
@@ -56,45 +56,47 @@ def test_states_are_assigned_to_phases(recorded: Recording):
     assert recorded.still_motors == frozenset()
 
 
-def test_load_refuses_missing_and_foreign_files(robot: RobotDescription, tmp_path: Path):
-    assert refused(tmp_path / "none.npz", robot).endswith("can't be read: No such file or directory")
+def test_load_rejects_missing_and_foreign_files(robot: RobotDescription, tmp_path: Path):
+    assert rejected(tmp_path / "none.npz", robot).endswith("can't be read: No such file or directory")
     text = tmp_path / "text.npz"
     text.write_text("hello")
-    refused(text, robot)
+    rejected(text, robot)
     np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    assert "has schema None" in refused(tmp_path / "other.npz", robot)
+    assert "has schema None" in rejected(tmp_path / "other.npz", robot)
     np.savez(tmp_path / "odd.npz", meta=np.array("3"))
-    assert "has schema None; surefoot reads schema 1" in refused(tmp_path / "odd.npz", robot)
+    assert "has schema None; surefoot reads schema 1" in rejected(tmp_path / "odd.npz", robot)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999, None])
-def test_load_refuses_damaged_files(recorded: Recording, robot: RobotDescription, tmp_path: Path, share: float | None):
+@pytest.mark.parametrize("fraction", [0.0, 0.3, 0.9, 0.999, None])
+def test_load_rejects_damaged_files(
+    recorded: Recording, robot: RobotDescription, tmp_path: Path, fraction: float | None
+):
     path = recorded.save(tmp_path / "recording.npz")
     content = bytearray(path.read_bytes())
-    if share is None:
+    if fraction is None:
         content[len(content) // 2] ^= 16
-    path.write_bytes(content if share is None else content[: int(share * len(content))])
-    assert "no file of arrays" in refused(path, robot)
+    path.write_bytes(content if fraction is None else content[: int(fraction * len(content))])
+    assert "no file of arrays" in rejected(path, robot)
 
 
 def test_load_names_missing_and_unknown_entries(recorded: Recording, robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "recording.npz"
     meta = {key: value for key, value in recorded.meta.items() if key not in ("period", "frames")}
     replace(recorded, meta=meta).save(path)
-    assert refused(path, robot).endswith("meta.period, meta.frames are missing; they must be given")
+    assert rejected(path, robot).endswith("meta.period, meta.frames are missing; they must be given")
     recorded.save(path)
     with np.load(path) as file:
         arrays = {name: file[name] for name in file.files if name != "voltage"}
     np.savez(path, more=np.zeros(2), **arrays)
-    assert refused(path, robot).endswith("missing or unknown: more, voltage")
+    assert rejected(path, robot).endswith("missing or unknown: more, voltage")
 
 
-def test_load_refuses_changed_data(recorded: Recording, robot: RobotDescription, tmp_path: Path):
+def test_load_rejects_changed_data(recorded: Recording, robot: RobotDescription, tmp_path: Path):
     torque = recorded.motor_torque.copy()
     torque[100, 3] += 0.001
     path = replace(recorded, motor_torque=torque).save(tmp_path / "recording.npz")
-    assert "was changed after it was made: its digest does not fit" in refused(path, robot)
-    assert "is of experiment motor, not mass" in refused(recorded.save(path), robot, "mass")
+    assert "was changed after it was recorded: its digest does not match" in rejected(path, robot)
+    assert "is of experiment motor, not mass" in rejected(recorded.save(path), robot, "mass")
 
 
 @pytest.mark.parametrize(
@@ -103,11 +105,11 @@ def test_load_refuses_changed_data(recorded: Recording, robot: RobotDescription,
         ({"schema": 2}, "has schema 2; surefoot reads schema 1"),
         ({"robot": "cat"}, "is of robot 'cat', not of 'minitaur'"),
         ({"motor_names": ["m"]}, "not of 'minitaur' with its motors"),
-        ({"ended": "stopped by the operator"}, "did not come to its end: stopped by the operator"),
-        ({"phases": [[]]}, "meta.phases[0] is []; it must be a table with keys out of: name, mode, use, duration"),
+        ({"ended": "stopped by the operator"}, "stopped early: stopped by the operator"),
+        ({"phases": [[]]}, "meta.phases[0] is []; it must be a table with keys from: name, mode, use, duration"),
         ({"phases": 3}, "meta.phases is 3; it must be a list of values, each a table"),
         ({"mode_changes": [0.1]}, "meta.mode_changes[0] is 0.1; it must be a list of 2 values, each a number"),
-        ({"frames": []}, "meta.frames is []; it must be a table with keys out of: received, missing, damaged"),
+        ({"frames": []}, "meta.frames is []; it must be a table with keys from: received, missing, damaged"),
         ({"resting_states": [1]}, "meta.resting_states is [1]; it must be a whole number"),
         ({"resting_states": -1}, "meta.resting_states is -1; it must be 0 or more"),
         ({"period": 10**400}, "meta.period is 1000"),
@@ -115,22 +117,22 @@ def test_load_refuses_changed_data(recorded: Recording, robot: RobotDescription,
         ({"ended": None}, "meta.ended is None; it must be text"),
     ],
 )
-def test_load_refuses_invalid_entries(
+def test_load_rejects_invalid_entries(
     recorded: Recording, robot: RobotDescription, tmp_path: Path, change: Any, message: str
 ):
-    assert message in refused(saved(recorded, tmp_path / "a.npz", **change), robot)
+    assert message in rejected(saved(recorded, tmp_path / "a.npz", **change), robot)
 
 
 @pytest.mark.parametrize("odd", ["time", "sent_value", "roll_pitch_yaw", "mode"])
-def test_load_refuses_arrays_of_another_shape_or_type(
+def test_load_rejects_arrays_of_another_shape_or_type(
     recorded: Recording, robot: RobotDescription, tmp_path: Path, odd: str
 ):
     whole = getattr(recorded, odd)
     for k, array in enumerate((whole[:-1], whole.reshape(-1, 1, 1), np.array(0.0))):
         path = saved(replace(recorded, **{odd: array}), tmp_path / f"{k}.npz")
-        assert re.search(r": \w+ has shape \([\d, ]*\), but must have \(", refused(path, robot))
+        assert re.search(r": \w+ has shape \([\d, ]*\), but must have \(", rejected(path, robot))
     path = saved(replace(recorded, **{odd: whole.astype("U5")}), tmp_path / "text.npz")
-    assert refused(path, robot).endswith(f": {odd} holds <U5, but must hold numbers")
+    assert rejected(path, robot).endswith(f": {odd} holds <U5, but must hold numbers")
     if np.any(whole.astype("?") != whole):  # a base on a rack is level throughout
         path = saved(replace(recorded, **{odd: whole.astype("?")}), tmp_path / "truth.npz")
-        assert "its digest does not fit" in refused(path, robot)
+        assert "its digest does not match" in rejected(path, robot)

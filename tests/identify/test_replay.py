@@ -1,4 +1,4 @@
-"""A recording of a robot whose parameters are known is repeated by simulated robots that have them."""
+"""Replays of a recording from a robot with known parameters reproduce the recording."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import Recording
-from surefoot.identify.replay import HELD, ReplayedReadings, Replayer, Segment, segment_from_recording
+from surefoot.identify.replay import HOLD, ReplayedReadings, Replayer, Segment, segment_from_recording
 from surefoot.robot import PhysicalParams, RobotDescription
 
 TRUTH = {
@@ -31,7 +31,7 @@ TRUTH = {
 
 @pytest.fixture(scope="module")
 def ideal(record: Callable[..., list[Recording]], make_plan: Callable[..., Plan]) -> Recording:
-    """A robot on its rack with ideal sensors: unfold, a sweep, steps, centre, duties, centre, a sweep."""
+    """Recording of a robot on its rack with ideal sensors: unfold, sweep, steps, centre, duties, centre, sweep."""
     return record(TRUTH, make_plan())[0]
 
 
@@ -56,12 +56,12 @@ def readings(one: Replayer, segment: Segment, truth: PhysicalParams) -> Replayed
 
 
 def test_segment_holds_commands_and_mode_changes(segment: Segment, ideal: Recording):
-    # Sweep, steps and centre, then let go, armed for duties, let go, armed for servos that first hold what they find.
+    # Sweep, steps and centre, then disarmed, armed for duties, disarmed, and armed for servos that first hold.
     changes = np.flatnonzero(np.diff(segment.kind, prepend=-9))
     position, pwm, off = int(Mode.POSITION), int(Mode.PWM), int(Mode.DISARMED)
-    assert segment.kind[changes].tolist()[:6] == [position, off, pwm, off, HELD, position]
-    assert segment.order_tick[0] == 0
-    assert np.all(np.diff(segment.order_tick) >= 0)
+    assert segment.kind[changes].tolist()[:6] == [position, off, pwm, off, HOLD, position]
+    assert segment.command_tick[0] == 0
+    assert np.all(np.diff(segment.command_tick) >= 0)
     np.testing.assert_array_equal(segment.voltage, 15.0)
     np.testing.assert_array_equal(segment.start, ideal.sent_value[ideal.sent_phase == 1][0])
     np.testing.assert_allclose(np.diff(segment.state_time), np.diff(ideal.time[segment.states]), atol=1e-12)
@@ -72,11 +72,11 @@ def test_segment_holds_commands_and_mode_changes(segment: Segment, ideal: Record
 def test_a_replay_with_the_true_parameters_is_the_recording(
     readings: ReplayedReadings, segment: Segment, ideal: Recording
 ):
-    # The robot had just unfolded, the replay's robots have rested: both are at one after some tenths of a second.
+    # The robot had just unfolded, while the replayed robots start at rest; the difference decays within 0.4 s.
     settled = segment.state_time > 0.4
     kept = segment.states[settled]
     assert np.ptp(ideal.motor_angle[kept], axis=0).min() > 0.2
-    # To the resolution of a state's numbers.
+    # Within the resolution of states.
     assert np.abs(readings.motor_angle[0][settled] - ideal.motor_angle[kept]).max() < 2e-6
     assert np.abs(readings.motor_velocity[0][settled] - ideal.motor_velocity[kept]).max() < 1e-3
     assert np.abs(readings.motor_torque[0][settled] - ideal.motor_torque[kept]).max() < 3e-3
@@ -85,29 +85,29 @@ def test_a_replay_with_the_true_parameters_is_the_recording(
 def test_control_latency_shifts_the_readings(
     one: Replayer, readings: ReplayedReadings, segment: Segment, truth: PhysicalParams, robot: RobotDescription
 ):
-    # States come every 2 ms: with 4 ms more each equals the second one before it.
+    # States are 2 ms apart: with 4 ms more latency, each equals the second state before it.
     late = truth.with_values(robot, control_latency=TRUTH["control_latency"] + 0.004)
     shifted = one.run(segment, late)
     for name in ("motor_angle", "motor_velocity"):
         ours, before = getattr(shifted, name)[0], getattr(readings, name)[0]
         np.testing.assert_allclose(ours[12:], before[10:-2], atol=1e-3)
-    # Torques are of now, whatever the readings' age.
+    # Torques are not delayed by the control latency.
     np.testing.assert_array_equal(shifted.motor_torque, readings.motor_torque)
     ages = np.array([TRUTH["control_latency"], TRUTH["control_latency"] + 0.004, 0.0])
     together = one.angles_with_latencies(segment, truth, ages)
     np.testing.assert_array_equal(together[0], readings.motor_angle[0])
     np.testing.assert_array_equal(together[1], shifted.motor_angle[0])
-    # What is read at once is what the next servo step finds.
+    # Without latency, readings differ clearly.
     assert np.abs(together[2][:-10] - readings.motor_angle[0][:-10]).max() > 0.05
 
 
-def test_lead_reduces_the_age(
+def test_the_lead_reduces_the_age_of_readings(
     one: Replayer, readings: ReplayedReadings, segment: Segment, truth: PhysicalParams, robot: RobotDescription
 ):
     late = truth.with_values(robot, control_latency=TRUTH["control_latency"] + 0.005)
     ahead = one.run(replace(segment, lead=0.005), late)
     np.testing.assert_allclose(ahead.motor_angle, readings.motor_angle, atol=1e-9)
-    # No reading is of a time to come.
+    # No reading is from the future.
     soon = one.run(replace(segment, lead=1.0), truth)
     np.testing.assert_array_equal(soon.motor_angle[0], one.angles_with_latencies(segment, truth, np.zeros(1))[0])
 

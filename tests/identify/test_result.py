@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from surefoot.identify.result import Identification, ParameterEstimate, with_floor
+from surefoot.identify.result import Identification, ParameterEstimate, add_model_error
 from surefoot.robot import PhysicalParams, RobotDescription
 
 
@@ -63,8 +63,8 @@ def test_estimate_is_selected_by_name_and_index():
 
 
 def test_deviations_include_the_simulators_accuracy():
-    # 3-4-5: .5 % of 6 is .03.
-    assert with_floor("resistance", 6.0, 0.04) == pytest.approx(0.05)
-    assert with_floor("torque_constant", 3.0, 0.04) == pytest.approx(0.05)
-    assert with_floor("motor_friction", 0.0, 0.0) == pytest.approx(2e-4)
-    assert with_floor("motor_strength", 0.0, 0.3) == pytest.approx(0.3)
+    # 3-4-5: 0.5 % of 6 is 0.03.
+    assert add_model_error("resistance", 6.0, 0.04) == pytest.approx(0.05)
+    assert add_model_error("torque_constant", 3.0, 0.04) == pytest.approx(0.05)
+    assert add_model_error("motor_friction", 0.0, 0.0) == pytest.approx(2e-4)
+    assert add_model_error("motor_strength", 0.0, 0.3) == pytest.approx(0.3)

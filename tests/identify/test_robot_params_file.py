@@ -1,4 +1,4 @@
-"""Overlays: identified parameters are written into a parameter file, which keeps all else."""
+"""Merging of identified parameters into a parameter file, which keeps all other entries."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from surefoot import __version__
 from surefoot.errors import SurefootError
 from surefoot.identify.result import NORMAL_95, Identification, ParameterEstimate
-from surefoot.identify.robot_params_file import missing_experiments, overlay, read_prior, write_overlay
+from surefoot.identify.robot_params_file import merge_estimates, missing_experiments, read_prior, write_robot_params
 from surefoot.robot import RobotDescription
 
 TEXT = """robot = "minitaur"
@@ -28,7 +28,7 @@ deep = [[1, 2], [3]]
 
 
 def motor(strength: float = 0.9, missing: int = 3) -> Identification:
-    """All motors but one and the voltage are identifiable; the resistance is not."""
+    """Return a result in which the resistance and the strength of motor `missing` are not identifiable."""
     estimates = [
         ParameterEstimate("motor_strength", strength + 0.01 * i, 0.005, "1", i, i != missing, low=0.0) for i in range(8)
     ]
@@ -50,12 +50,12 @@ def test_prior_without_a_file_is_nominal(robot: RobotDescription, tmp_path: Path
         assert missing_experiments(prior, ("motor", "mass")) == ("motor", "mass")
 
 
-def test_overlay_is_read_as_written(robot: RobotDescription, tmp_path: Path):
+def test_merged_parameters_are_read_as_written(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "folder" / "robot.toml"
-    after = overlay(read_prior(path, robot), motor(), robot, "recording.npz")
-    write_overlay(path, robot, after)
+    after = merge_estimates(read_prior(path, robot), motor(), robot, "recording.npz")
+    write_robot_params(path, robot, after)
     again = read_prior(path, robot)
-    # Parameters stand in the order of `PhysicalParams`; what was not identifiable is not there.
+    # Parameters are in the order of `PhysicalParams`, without unidentifiable ones.
     assert again.names == ("motor_friction", "motor_strength", "voltage")
     assert again.tables == {"robot": "minitaur", **after.tables}
     np.testing.assert_array_equal(again.params.motor_strength, after.params.motor_strength)
@@ -70,7 +70,7 @@ def test_overlay_is_read_as_written(robot: RobotDescription, tmp_path: Path):
 
 
 def test_intervals_are_written_for_numbers_and_for_motors(robot: RobotDescription):
-    tables = overlay(read_prior(None, robot), motor(), robot).tables
+    tables = merge_estimates(read_prior(None, robot), motor(), robot).tables
     reach = NORMAL_95 * 0.1
     assert tables["intervals"]["voltage"] == pytest.approx([15.4 - reach, 15.4 + reach])
     strength = tables["intervals"]["motor_strength"]
@@ -80,7 +80,7 @@ def test_intervals_are_written_for_numbers_and_for_motors(robot: RobotDescriptio
     # Only the first motor's friction was identifiable, and friction is not negative.
     assert tables["intervals"]["motor_friction"][0][0] == 0.0
     assert tables["intervals"]["motor_friction"][1:] == [[-math.inf, math.inf]] * 7
-    # Quantities that no simulator models are reported too, but are not parameters.
+    # Quantities that no simulator models are also reported, but are not parameters.
     assert tables["intervals"]["base_height"] == [pytest.approx([0.01804, 0.02196], abs=1e-5)]
     assert "resistance" not in tables["intervals"]
     assert tables["identified_by"] == dict.fromkeys(
@@ -88,15 +88,15 @@ def test_intervals_are_written_for_numbers_and_for_motors(robot: RobotDescriptio
     )
 
 
-def test_overlay_keeps_all_else_in_the_file(robot: RobotDescription, tmp_path: Path):
+def test_merging_keeps_all_other_entries_of_the_file(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
     path.write_text(TEXT)
-    write_overlay(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
+    write_robot_params(path, robot, merge_estimates(read_prior(path, robot), motor(), robot, "a.npz"))
     contact = ParameterEstimate("contact_friction", 0.7, 0.02, "1")
     identified = Identification(
         "contact", "minitaur", (contact, ParameterEstimate("voltage", 15.2, 0.05, "V")), digest="cd"
     )
-    write_overlay(path, robot, overlay(read_prior(path, robot), identified, robot, "b.npz"))
+    write_robot_params(path, robot, merge_estimates(read_prior(path, robot), identified, robot, "b.npz"))
     prior = read_prior(path, robot)
     assert prior.tables["owner"] == "lab 3"
     assert prior.tables["note"] == {"by": "hand", "more": {"deep": [[1, 2], [3]]}}
@@ -113,11 +113,11 @@ def test_overlay_keeps_all_else_in_the_file(robot: RobotDescription, tmp_path: P
 
 def test_a_repeated_experiment_replaces_its_results(robot: RobotDescription, tmp_path: Path):
     path = tmp_path / "robot.toml"
-    write_overlay(path, robot, overlay(read_prior(path, robot), motor(), robot, "a.npz"))
-    write_overlay(path, robot, overlay(read_prior(path, robot), motor(0.8, missing=5), robot, "b.npz"))
+    write_robot_params(path, robot, merge_estimates(read_prior(path, robot), motor(), robot, "a.npz"))
+    write_robot_params(path, robot, merge_estimates(read_prior(path, robot), motor(0.8, missing=5), robot, "b.npz"))
     prior = read_prior(path, robot)
     assert prior.params.motor_strength[0, 3] == pytest.approx(0.83)
-    # Of the motor that is not identifiable this time the former interval is still the best there is.
+    # A motor that is not identifiable this time keeps its previous interval.
     assert prior.params.motor_strength[0, 5] == pytest.approx(0.95)
     assert prior.tables["intervals"]["motor_strength"][5][0] == pytest.approx(0.95 - NORMAL_95 * 0.005)
     assert prior.tables["identified"]["motor"]["file"] == "b.npz"
@@ -131,7 +131,7 @@ def test_a_repeated_experiment_replaces_its_results(robot: RobotDescription, tmp
         ('robot = "cat"\n[params]', "has parameters of robot 'cat', not of 'minitaur'"),
     ],
 )
-def test_prior_refuses_another_robot_and_malformed_tables(
+def test_prior_rejects_another_robot_and_malformed_tables(
     robot: RobotDescription, tmp_path: Path, text: str, message: str
 ):
     path = tmp_path / "robot.toml"
@@ -146,7 +146,7 @@ def test_training_takes_the_identified_parameters(robot: RobotDescription, tmp_p
     from surefoot.task.config import TaskConfig
 
     path = tmp_path / "robot.toml"
-    write_overlay(path, robot, overlay(read_prior(None, robot), motor(), robot))
+    write_robot_params(path, robot, merge_estimates(read_prior(None, robot), motor(), robot))
     task = Simulator(params=path).condition().simulate(TaskConfig())
     assert set(task.params) == {"motor_strength", "motor_friction", "voltage"}
     assert task.nominal(robot).motor_strength[0, 0] == 0.9

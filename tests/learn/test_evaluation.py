@@ -1,4 +1,4 @@
-"""The evaluation of a policy during its training."""
+"""Evaluation of a policy during training."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def test_rank_prefers_no_falls_over_return():
     assert steady.rank < replace(steady, pushed_falls=2, return_mean=1.6).rank
 
 
-def test_falls_under_pushes_and_errors_of_commands_are_apart():
+def test_pushed_falls_and_tracking_errors_are_separate():
     preset = load_train_config("steer", "go2")
     pushes = replace(preset.task.pushes, enabled=True, relative=True, force=(8.0, 9.0), period=0.2, duration=0.1)
     task = replace(preset.task, max_steps=60, pushes=pushes)

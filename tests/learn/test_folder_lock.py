@@ -24,7 +24,7 @@ with folder_lock(Path(sys.argv[1])):
 """
 
 
-def test_a_lock_lasts_as_long_as_its_process_also_if_that_is_killed(tmp_path: Path):
+def test_a_lock_ends_with_its_process_even_if_that_is_killed(tmp_path: Path):
     holder = subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     try:
         assert holder.stdout is not None
@@ -42,11 +42,14 @@ def test_a_lock_lasts_as_long_as_its_process_also_if_that_is_killed(tmp_path: Pa
             assert (tmp_path / "lock").read_text() == f"{os.getpid()}\n"
 
 
-def test_a_place_that_holds_no_lock_is_refused_in_one_line(tmp_path: Path):
+def test_an_unwritable_folder_is_rejected_in_one_line(tmp_path: Path):
     (tmp_path / "file").touch()
     (tmp_path / "folder" / "lock").mkdir(parents=True)
     for name in ("file", "folder"):
-        with pytest.raises(SurefootError, match=rf"{name}: can't be trained in: \w"), folder_lock(tmp_path / name):
+        with (
+            pytest.raises(SurefootError, match=rf"{name}: can't be used for training: \w"),
+            folder_lock(tmp_path / name),
+        ):
             pass
 
 

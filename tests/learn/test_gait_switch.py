@@ -1,4 +1,4 @@
-"""A policy's network of two gaits."""
+"""Policy network with one network per gait."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.api.training import check_config
 from surefoot.configuration import from_mapping, to_mapping
 from surefoot.errors import SurefootError
 from surefoot.learn.config import PPOConfig, TrainConfig
-from surefoot.learn.gait_switch import GaitSwitch, GaitSwitchArchitecture
+from surefoot.learn.gait_switch import GaitSwitchArchitecture, GaitSwitchNetwork
 from surefoot.learn.run_folder import RunFolder
 from surefoot.learn.training_loop import TrainingLoop
 from surefoot.policy.graph import Graph
@@ -25,17 +25,17 @@ from surefoot.task.footholds import Footholds
 from surefoot.world.sim_world import SimWorld
 
 
-def both() -> GaitSwitch:
-    """Return a network whose gaits give 1 + the second input, and 10 times it; the first input is the share."""
+def both() -> GaitSwitchNetwork:
+    """Return a network whose gaits output 1 + the second input and 10 times it; the first input blends them."""
     first, over = nn.Linear(2, 1), nn.Linear(2, 1)
     with torch.no_grad():
         for layer, weight, bias in ((first, 1.0, 1.0), (over, 10.0, 0.0)):
             layer.weight[:] = torch.tensor([0.0, weight])
             layer.bias.fill_(bias)
-    return GaitSwitch(nn.Sequential(first), nn.Sequential(over), 0, 0.5)
+    return GaitSwitchNetwork(nn.Sequential(first), nn.Sequential(over), 0, 0.5)
 
 
-def test_the_share_blends_both_gaits():
+def test_the_blend_weight_blends_both_gaits():
     given = torch.tensor([[0.0, 3.0], [0.25, 3.0], [0.5, 3.0]])
     np.testing.assert_allclose(both()(given).detach().numpy()[:, 0], [4.0, 17.0, 30.0])
 
@@ -52,15 +52,15 @@ def test_only_the_network_over_holes_learns():
     }
 
 
-def test_it_can_be_a_policy_file():
+def test_the_network_can_be_exported():
     trace_module(both(), Graph(), INPUT, 2, 1)
 
 
 @pytest.mark.parametrize("bias", [0.0, 2.0])
-def test_parameters_of_a_policy_of_one_gait_are_those_of_the_first(bias: float):
+def test_a_single_gait_policy_becomes_the_first_network(bias: float):
     one = {"mlp.0.weight": torch.ones(1), "mlp.0.bias": torch.tensor([bias]), "distribution.std": torch.ones(1)}
     two = {f"mlp.{part}.0.{name}": torch.zeros(1) for part in ("first", "over_holes") for name in ("weight", "bias")}
-    joined = GaitSwitchArchitecture().adopt({**two, "distribution.std": torch.zeros(1)}, one)
+    joined = GaitSwitchArchitecture().initial_parameters({**two, "distribution.std": torch.zeros(1)}, one)
     assert {name: float(value) for name, value in joined.items()} == {
         "mlp.first.0.weight": 1.0,
         "mlp.first.0.bias": bias,
@@ -84,7 +84,7 @@ def run(config: TrainConfig, folder: Path) -> TrainingLoop:
     return loop
 
 
-def test_a_policy_of_one_gait_gets_one_over_holes_which_alone_learns(tmp_path: Path) -> None:
+def test_a_warm_start_adds_a_gait_over_holes_and_trains_only_that(tmp_path: Path) -> None:
     blind = load_task("terrain", "go2")[0]
     blind = replace(blind, terrain=replace(blind.terrain, sizes={}, shares={}, ground="gaps:0.15"), max_steps=50)
     before = run(config(blind), tmp_path / "blind")
@@ -93,7 +93,7 @@ def test_a_policy_of_one_gait_gets_one_over_holes_which_alone_learns(tmp_path: P
     reward = {**blind.reward, "foothold_error": -0.1}
     data = {"reference": reference, "observations": observations, "reward": reward}
     task = from_mapping(TaskConfig, data, base=blind)
-    with pytest.raises(SurefootError, match=r"over_holes is given, and start_from is not: what learns"):
+    with pytest.raises(SurefootError, match=r"over_holes is given, but start_from is not"):
         check_config(config(task))
 
     def actions(loop: TrainingLoop, share: float, seen: dict[str, float]) -> np.ndarray:
@@ -101,7 +101,7 @@ def test_a_policy_of_one_gait_gets_one_over_holes_which_alone_learns(tmp_path: P
         row = np.array([share if name == "over_holes" else seen.get(name, 0.3) for name in columns], np.float32)
         return loop.learner.act(np.tile(row, history)[None])
 
-    # The first gait is the policy that was evaluated best, which may not be the last one.
+    # The first gait has the policy with the best evaluation, which may not be the last one.
     rng = np.random.default_rng(0)
     seen = {name: float(rng.normal()) for name in before.learner.env.observer.columns}
     before.learner.policy.load_state_dict(before.best_actor)
@@ -114,12 +114,12 @@ def test_a_policy_of_one_gait_gets_one_over_holes_which_alone_learns(tmp_path: P
     seeing.run(lambda *_: None)
     np.testing.assert_allclose(actions(seeing, 0.0, seen), walks, atol=1e-5)
     assert np.abs(actions(seeing, 1.0, seen) - over).max() > 1e-4
-    # A run goes on from it with both.
+    # Another warm start keeps both networks.
     last = seeing.learner.policy.state_dict()
     again = config(task, seeing.folder.path)
     third = TrainingLoop.create(again, RunFolder.create(again, tmp_path / "3"), SimWorld)
     assert all(torch.equal(value, last[name]) for name, value in third.learner.policy.state_dict().items())
-    # One without a gait over holes can't.
+    # A run without a gait over holes can't start from it.
     walking = config(replace(task, reference=replace(task.reference, over_holes=None)), seeing.folder.path)
     with pytest.raises(SurefootError, match=r"has the networks of reference\.over_holes, which this run's task lacks"):
         TrainingLoop.create(walking, RunFolder.create(walking, tmp_path / "4"), SimWorld)

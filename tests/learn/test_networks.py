@@ -1,4 +1,4 @@
-"""The networks of a run, and architectures of policies that the learner does not know."""
+"""Networks of a run, and additional policy architectures."""
 
 from __future__ import annotations
 
@@ -34,18 +34,20 @@ class Mean(nn.Module):
 
 
 class MeanArchitecture:
-    """Policies of robots that can overheat."""
+    """Architecture of policies for robots that can overheat."""
 
     setting = "thermal_protection"
 
-    def serves(self, task: TaskConfig) -> bool:
+    def applies_to(self, task: TaskConfig) -> bool:
         return task.thermal_protection
 
     def build(self, actor: MLPModel, columns: Sequence[str], make_mlp: Callable[[], nn.Module]) -> None:
         assert list(columns) == ["roll", "pitch", "roll_rate", "pitch_rate"]
         actor.mlp = Mean(actor.mlp, make_mlp())
 
-    def adopt(self, fresh: Mapping[str, torch.Tensor], single: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    def initial_parameters(
+        self, fresh: Mapping[str, torch.Tensor], single: Mapping[str, torch.Tensor]
+    ) -> dict[str, torch.Tensor]:
         return dict(fresh)
 
 
@@ -55,7 +57,7 @@ def config(**task: Any) -> TrainConfig:
     return replace(preset, **counts, task=replace(preset.task, **task))
 
 
-def test_an_architecture_is_taken_for_the_tasks_that_it_serves(monkeypatch: pytest.MonkeyPatch):
+def test_an_architecture_is_used_for_the_tasks_to_which_it_applies(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(networks, "ARCHITECTURES", (GaitSwitchArchitecture(), MeanArchitecture()))
     learner = PpoLearner(config(thermal_protection=True), SimWorld)
     assert isinstance(learner.policy.mlp, Mean)

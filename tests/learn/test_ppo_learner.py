@@ -1,4 +1,4 @@
-"""The rewards that PPO learns from, presets, and threads."""
+"""PPO learner: rewards, exploration noise, presets and threads."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ def rewards_of_an_update(fall_cost: float) -> tuple[torch.Tensor, torch.Tensor, 
         process(observation, rewards, dones, extras)
 
     learner.algorithm.process_env_step = keep  # type: ignore[method-assign]
-    figures = learner.update()
-    assert figures.falls > 0
+    metrics = learner.update()
+    assert metrics.falls > 0
     rewards, dones = zip(*samples, strict=True)
     return torch.stack(rewards), torch.stack(dones), learner
 
@@ -53,11 +53,11 @@ def test_a_fall_costs_fall_cost_once_and_no_other_reward_changes():
     assert torch.equal(fell, fell_too)
     assert 0 < int(fell.sum()) < fell.numel()
     torch.testing.assert_close(with_cost, rewards - 10.0 * 2.5 * fell.float())
-    # Figures are without the cost.
+    # Metrics do not include the cost.
     assert float(learner.env.state.returns.min()) > -1.0
 
 
-def test_exploration_stays_under_a_limit_that_falls():
+def test_the_exploration_noise_stays_under_a_decreasing_limit():
     preset = load_train_config("trot")
     config = replace(
         preset,
@@ -77,7 +77,7 @@ def test_exploration_stays_under_a_limit_that_falls():
         replace(config.ppo, final_std=0.5)
 
 
-def test_the_value_network_learns_before_the_policy():
+def test_the_critic_learns_before_the_policy():
     preset = load_train_config("trot")
     config = replace(preset, num_envs=4, steps_per_update=10, threads=1, learning_threads=1)
     learner = PpoLearner(replace(config, ppo=replace(preset.ppo, value_updates=2)), SimWorld)
@@ -99,7 +99,7 @@ def test_with_symmetry_a_minibatch_runs_the_policy_once():
     passes: list[int] = []
     learner.algorithm.actor.mlp.register_forward_hook(lambda _, inputs, __: passes.append(len(inputs[0])))
     learner.update()
-    # 4 steps of 6 robots; then 24 samples and their mirror images in three parts, twice.
+    # 4 steps of 6 robots: 24 samples and their mirror images, in three minibatches, for two epochs.
     assert [n for n in passes if n != 6] == [16] * 6
 
 

@@ -13,7 +13,7 @@ from surefoot.learn.rollout_statistics import RolloutStatistics
 
 
 def robots(commands: bool, levels: dict[str, float] | None = None) -> Any:
-    """Return what the statistics read of two robots with a control step of 0.02 s; episodes have 100 steps."""
+    """Return a fake environment of two robots with a control step of 0.02 s and episodes of 100 steps."""
     return SimpleNamespace(
         task=SimpleNamespace(reward={"progress": 1.0}, max_steps=100, commands=SimpleNamespace(enabled=commands)),
         world=SimpleNamespace(params=SimpleNamespace(control_step=np.array([0.02, 0.02])), divergences=3),
@@ -22,7 +22,7 @@ def robots(commands: bool, levels: dict[str, float] | None = None) -> Any:
     )
 
 
-def test_figures_of_two_control_steps():
+def test_metrics_of_two_control_steps():
     env = robots(commands=True, levels={"stairs": 1.5})
     statistics = RolloutStatistics(env)
     env.state.reward_terms = {"progress": np.array([1.0, 3.0])}
@@ -30,10 +30,10 @@ def test_figures_of_two_control_steps():
     statistics.add(np.array([1.0, 2.0]), {})
     env.state.reward_terms = {"progress": np.array([0.0, 2.0])}
     env.state.command_error = np.array([[0.5, 0.0, 1.0], [0.5, 0.0, 1.0]])
-    # The first robot fell after 50 steps: 2 m in 4 s. The second one goes on.
+    # The first robot fell after 50 steps: 2 m in 4 s. The episode of the second one continues.
     ended = {"return": [5.0, 0.0], "steps": [50, 0], "distance": [2.0, 0.0], "duration": [4.0, 0.0]}
-    figures = {name: np.array(column) for name, column in ended.items()}
-    statistics.add(np.array([0.0, 1.0]), {"figures": figures, "_figures": np.array([True, False])})
+    metrics = {name: np.array(column) for name, column in ended.items()}
+    statistics.add(np.array([0.0, 1.0]), {"figures": metrics, "_figures": np.array([True, False])})
     summary = statistics.summarize()
     rmse = summary.pop("rmse")
     assert rmse == {
@@ -61,7 +61,7 @@ def test_an_episode_of_full_length_is_no_fall_and_none_has_no_mean():
     assert (summary["rmse"], summary["levels"], summary["episodes"], summary["falls"]) == (None, None, 0, 0)
     assert math.isnan(summary["return_mean"])
     assert math.isnan(summary["speed_mean"])
-    figures = {name: np.array([100.0, 100.0]) for name in ("return", "steps", "distance", "duration")}
-    statistics.add(np.zeros(2), {"figures": figures, "_figures": np.array([True, True])})
+    metrics = {name: np.array([100.0, 100.0]) for name in ("return", "steps", "distance", "duration")}
+    statistics.add(np.zeros(2), {"figures": metrics, "_figures": np.array([True, True])})
     summary = statistics.summarize()
     assert (summary["episodes"], summary["falls"]) == (2, 0)

@@ -17,7 +17,7 @@ from surefoot.learn.folder_lock import folder_lock
 from surefoot.learn.run_folder import RunFolder, read_checkpoint
 
 
-def test_a_second_resume_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_a_second_resume_is_rejected_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
     folder = RunFolder.create_at(TrainConfig(), tmp_path / "run")
     before, rule = sorted(folder.path.rglob("*")), "another process trains in this folder; wait for it, or end it"
     with folder_lock(folder.path):
@@ -29,14 +29,14 @@ def test_a_second_resume_is_refused_in_one_line(tmp_path: Path, capsys: pytest.C
 
 
 @pytest.mark.parametrize("content", ["{", "[]", "{}", "[" * 10_000])
-def test_a_damaged_run_json_is_refused(tmp_path: Path, content: str):
+def test_a_damaged_run_json_is_rejected(tmp_path: Path, content: str):
     (tmp_path / "run.json").write_text(content)
     with pytest.raises(SurefootError, match=r"run\.json: is damaged; it must be the JSON that surefoot wrote"):
         RunFolder.open(tmp_path)
 
 
 def test_a_run_with_the_keys_of_every_kind_of_reference_opens(tmp_path: Path):
-    """Runs of earlier versions have all of them, whatever they say."""
+    """Runs of earlier versions have the keys of all kinds."""
     config = load_train_config("trot", "go2")
     folder = RunFolder.create_at(config, tmp_path / "run")
     data = read_yaml(folder.path / "config.yaml")
@@ -45,13 +45,13 @@ def test_a_run_with_the_keys_of_every_kind_of_reference_opens(tmp_path: Path):
     assert RunFolder.open(folder.path)[1] == config
 
 
-def test_a_folder_that_can_t_be_made_is_refused(tmp_path: Path):
+def test_a_folder_that_can_not_be_made_is_rejected(tmp_path: Path):
     (tmp_path / "file").touch()
     with pytest.raises(SurefootError, match=r"file/run: a run folder can't be made there: Not a directory"):
         RunFolder.create_at(TrainConfig(), tmp_path / "file" / "run")
 
 
-def test_a_checkpoint_that_can_t_be_written_leaves_the_saved_ones_whole(tmp_path: Path):
+def test_a_failed_write_leaves_saved_checkpoints_unchanged(tmp_path: Path):
     folder = RunFolder.create_at(TrainConfig(), tmp_path / "run")
     for steps in (1, 2):
         folder.save({"steps": steps, "weights": "w" * 80_000})
@@ -59,7 +59,7 @@ def test_a_checkpoint_that_can_t_be_written_leaves_the_saved_ones_whole(tmp_path
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
     try:
-        with pytest.raises(SurefootError, match=r"can't be written: .*; what was saved before is untouched"):
+        with pytest.raises(SurefootError, match=r"can't be written: .*; files saved earlier are unchanged"):
             folder.save({"steps": 3, "weights": "w" * 80_000})
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)

@@ -1,4 +1,4 @@
-"""Stable-Baselines3 on one robot and on a batch."""
+"""Stable-Baselines3 with a single robot and with a batch."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_attributes_belong_to_the_batch():
         venv.set_attr("mark", 4, indices=[0])
 
 
-def test_a_batch_without_autoreset_is_refused():
+def test_a_batch_without_autoreset_is_rejected():
     with pytest.raises(SurefootError, match="autoreset is off"):
         SB3VecEnv(batch(autoreset=False))
 
@@ -139,9 +139,9 @@ def test_a_module_is_exported_for_any_form_of_its_environment(name: str, tmp_pat
     assert policy.robot.name == "minitaur"
 
 
-def test_an_environment_of_another_package_is_refused(tmp_path: Path):
+def test_an_environment_of_another_package_is_rejected(tmp_path: Path):
     module = torch.nn.Linear(4, 8)
     with pytest.raises(SurefootError, match="env is a TimeLimit; it must be an environment of surefoot"):
         surefoot.export(module, tmp_path / "p.onnx", env=gymnasium.make("CartPole-v1"))
-    with pytest.raises(SurefootError, match="no env is given"):
+    with pytest.raises(SurefootError, match="env is missing"):
         surefoot.export(module, tmp_path / "p.onnx")

@@ -1,4 +1,4 @@
-"""Mirror images: worked by hand, and measured in the physics."""
+"""Mirror images: worked by hand, and compared in the physics."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from surefoot.learn.networks import make_algorithm
 from surefoot.learn.symmetry import (
     MirrorAugmentation,
     MirrorSamples,
+    is_half_period_shifted,
     mirror_columns,
     mirror_name,
-    reference_shift,
 )
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
@@ -52,13 +52,13 @@ def test_mirrored_columns_worked_by_hand():
     assert sign.tolist() == [1, 1, -1, -1]
 
 
-def test_a_column_without_counterpart_is_refused():
+def test_a_column_without_counterpart_is_rejected():
     with pytest.raises(SurefootError, match=r"angle\.right_1.*no counterpart"):
         mirror_columns(["angle.left_1"])
 
 
 def wave(*phase: float) -> TaskConfig:
-    """A task whose reference has these phases: front left, back left, front right, back right."""
+    """Return a task whose reference has these phases: front left, back left, front right, back right."""
     phases = dict(zip(("front_left", "back_left", "front_right", "back_right"), phase, strict=True))
     waves = SineReferenceConfig(
         swing=WaveConfig(amplitude=0.2, frequency=2.0, phase=phases),
@@ -75,18 +75,18 @@ def wave(*phase: float) -> TaskConfig:
         ((0.0, np.pi, 0.0, np.pi), False),  # bound
     ],
 )
-def test_the_mirror_image_of_a_reference_is_itself_at_once_or_half_a_period_later(phases, half):
-    assert reference_shift(make_env(wave(*phases))) is half
+def test_the_mirror_image_of_a_reference_is_itself_or_half_a_period_later(phases, half):
+    assert is_half_period_shifted(make_env(wave(*phases))) is half
 
 
-def test_a_reference_that_is_not_symmetric_is_refused():
+def test_a_reference_that_is_not_symmetric_is_rejected():
     with pytest.raises(SurefootError, match=r"ppo\.symmetry.*not left-right symmetric"):
-        reference_shift(make_env(wave(0.0, 1.0, 2.0, 3.0)))
+        is_half_period_shifted(make_env(wave(0.0, 1.0, 2.0, 3.0)))
 
 
-@pytest.mark.parametrize(("longer", "mirrored"), [(0.0005, True), (0.004, False), (0.02, False)])
+@pytest.mark.parametrize(("longer", "is_mirror"), [(0.0005, True), (0.004, False), (0.02, False)])
 def test_a_robot_whose_sides_differ_trains_with_mirrored_samples_up_to_half_a_percent(
-    longer: float, mirrored: bool, tmp_path: Path
+    longer: float, is_mirror: bool, tmp_path: Path
 ):
     (tmp_path / "odd.urdf").write_text(urdf(longer))
     write_robot(read_robot(tmp_path / "odd.urdf"), tmp_path / "odd", "odd")
@@ -98,16 +98,16 @@ def test_a_robot_whose_sides_differ_trains_with_mirrored_samples_up_to_half_a_pe
     observation, _ = env.reset()
     groups = {"policy": torch.from_numpy(observation), "privileged": torch.from_numpy(env.privileged())}
     algorithm = make_algorithm(config, env, TensorDict(groups, batch_size=[2]))
-    assert isinstance(algorithm.symmetry, MirrorAugmentation) is mirrored
+    assert isinstance(algorithm.symmetry, MirrorAugmentation) is is_mirror
     note = symmetry_note(config)
-    assert (note is None) is mirrored
+    assert (note is None) is is_mirror
     if note is not None:
-        for words in (f"back_left's upper link is {1e3 * longer:.2g} mm longer", "up to 2 mm", "--ppo.no-symmetry"):
+        for words in (f"back_left's upper link is {1e3 * longer:.2g} mm longer", "limit 2 mm", "--ppo.no-symmetry"):
             assert words in note
     assert symmetry_note(replace(config, ppo=replace(config.ppo, symmetry=False))) is None
 
 
-def test_a_gait_that_is_not_symmetric_is_refused_before_there_is_a_run_and_names_the_option():
+def test_a_gait_that_is_not_symmetric_is_rejected_before_a_run_is_made():
     config = TrainConfig(task=wave(0.0, 1.0, 2.0, 3.0), ppo=PPOConfig(symmetry=True), threads=1)
     with pytest.raises(SurefootError, match=r"--ppo\.no-symmetry learns without mirrored samples"):
         check_config(config)
@@ -144,17 +144,17 @@ def test_mirroring_twice_gives_the_sample(trot_env):
         assert torch.equal(both[group][:5], values)
         image = both[group][5:]
         assert not torch.equal(image, values)
-        assert torch.equal(mirror.mirrored(group, image), values)
+        assert torch.equal(mirror.mirror(group, image), values)
     assert mirror(None, None, actions)[0] is None
 
 
-def test_privileged_columns_name_every_number(trot_env):
+def test_privileged_observations_have_column_names(trot_env):
     assert len(trot_env.privileged_columns) == trot_env.privileged().shape[1]
     assert len(set(trot_env.privileged_columns)) == len(trot_env.privileged_columns)
 
 
-def test_a_mirrored_robot_moves_as_the_mirror_image():
-    # The second robot gets the mirrored actions half a period later: all that it sees must be the mirror image.
+def test_a_mirrored_robot_moves_like_the_mirror_image():
+    # The second robot gets the mirrored actions half a period later: its observations must be mirror images.
     task = replace(
         load_task("trot")[0],
         observations=tuple(
@@ -173,9 +173,9 @@ def test_a_mirrored_robot_moves_as_the_mirror_image():
     observation, _ = env.reset()
     for _ in range(40):
         actions = draws.uniform(-1, 1, (2, 8)).astype(np.float32)
-        actions[1] = mirror.mirrored("actions", torch.from_numpy(actions[:1])).numpy()[0]
+        actions[1] = mirror.mirror("actions", torch.from_numpy(actions[:1])).numpy()[0]
         observation, *_ = env.step(actions)
-        image = mirror.mirrored("policy", torch.from_numpy(observation[:1])).numpy()[0]
+        image = mirror.mirror("policy", torch.from_numpy(observation[:1])).numpy()[0]
         np.testing.assert_allclose(observation[1], image, atol=5e-3)
     rates = [env.observer.columns.index(name) for name in ("roll_rate", "pitch_rate")]
     assert np.abs(observation[0, rates]).max() > 0.02

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from edited import maxitaur
-from trained import TINY
+from shipped_variants import maxitaur
+from trained_policy import TINY
 
 from surefoot.cli.main import main
 from surefoot.configuration import from_mapping
@@ -36,7 +36,7 @@ def train(root: Path, config: TrainConfig, stop_after: int | None = None) -> Tra
     loop = TrainingLoop.create(config, RunFolder.create(config, root), SimWorld)
     updates = []
     loop.run(
-        lambda *figures: updates.append(figures),
+        lambda *metrics: updates.append(metrics),
         lambda: stop_after is not None and len(updates) >= stop_after,
     )
     return loop
@@ -57,7 +57,7 @@ def whole(trained: Path, tmp_path_factory: pytest.TempPathFactory) -> TrainingLo
     return resume(shutil.copytree(trained, tmp_path_factory.mktemp("whole") / "run"))
 
 
-def test_a_run_of_an_own_robot_goes_on_after_both_were_moved(whole: TrainingLoop, tmp_path: Path) -> None:
+def test_a_run_with_a_custom_robot_resumes_after_both_were_moved(whole: TrainingLoop, tmp_path: Path) -> None:
     robot = maxitaur(tmp_path / "my robot")
     config = from_mapping(TrainConfig, {"task": {"robot": str(robot)}}, base=tiny_config())
     loop = train(tmp_path / "runs", config, stop_after=4)
@@ -68,7 +68,7 @@ def test_a_run_of_an_own_robot_goes_on_after_both_were_moved(whole: TrainingLoop
     (tmp_path / "runs").rename(tmp_path / "gone")
     loop = resume(Path(moved))
     loop.run(lambda *_: None)
-    # It differs from the robot that ships in its name alone.
+    # It differs from the robot that ships with surefoot only in its name.
     assert same_weights(loop, whole)
     runtime = PolicyRuntime.load(loop.folder.policy)
     assert runtime.load_robot().name == "maxitaur"
@@ -78,7 +78,7 @@ def test_a_run_of_an_own_robot_goes_on_after_both_were_moved(whole: TrainingLoop
 def test_a_run_has_its_best_policy_from_the_first_evaluation_on(tmp_path: Path) -> None:
     loop = TrainingLoop.create(tiny_config(), RunFolder.create(tiny_config(), tmp_path), SimWorld)
     seen = []
-    loop.run(lambda figures, evaluation: seen.append((evaluation is not None, loop.folder.policy.exists())))
+    loop.run(lambda metrics, evaluation: seen.append((evaluation is not None, loop.folder.policy.exists())))
     first = [evaluated for evaluated, _ in seen].index(True)
     assert [exists for _, exists in seen] == [False] * first + [True] * (len(seen) - first)
 
@@ -118,7 +118,7 @@ def test_an_interrupted_run_ends_with_the_same_weights_to_the_last_bit(
     assert rows[0] == rows[1]
 
 
-def test_a_run_with_drawn_parameters_and_symmetry_resumes_exactly(tmp_path: Path) -> None:
+def test_a_run_with_randomization_and_symmetry_resumes_exactly(tmp_path: Path) -> None:
     task = {**TINY["task"], "params": {}, "randomize": load_ranges("table1")}
     config = tiny_config(task=task, ppo={"symmetry": True, "fall_cost": 1.0}, steps=16 * 16 * 3)
     through = train(tmp_path / "through", config)
@@ -149,7 +149,7 @@ def test_a_run_can_start_from_the_networks_of_another_run(whole: TrainingLoop, t
         ({"ppo": {"policy_hidden": [16]}}, "its networks do not fit the configuration: Unexpected key"),
     ],
 )
-def test_resume_refuses_a_configuration_that_does_not_fit_the_checkpoint(
+def test_resume_rejects_a_configuration_that_does_not_fit_the_checkpoint(
     whole: TrainingLoop, change: dict, reason: str
 ) -> None:
     with pytest.raises(SurefootError, match=rf"latest\.ckpt: does not fit the run's config\.yaml: {reason}") as caught:
@@ -157,7 +157,7 @@ def test_resume_refuses_a_configuration_that_does_not_fit_the_checkpoint(
     assert "\n" not in str(caught.value)
 
 
-def test_a_run_folder_holds_configuration_versions_and_checkpoints(whole: TrainingLoop) -> None:
+def test_a_run_folder_contains_configuration_versions_and_checkpoints(whole: TrainingLoop) -> None:
     about = json.loads((whole.folder.path / "run.json").read_text())
     assert about["seed"] == 0
     assert about["packages"]["torch"].startswith("2.13.0")
@@ -166,11 +166,11 @@ def test_a_run_folder_holds_configuration_versions_and_checkpoints(whole: Traini
     assert len(list(whole.folder.checkpoints.glob("steps_*.ckpt"))) == 3
 
 
-def test_the_error_of_a_cut_off_checkpoint_names_the_one_before(whole: TrainingLoop, tmp_path: Path) -> None:
+def test_the_error_for_a_cut_off_checkpoint_names_the_previous_one(whole: TrainingLoop, tmp_path: Path) -> None:
     folder = RunFolder(shutil.copytree(whole.folder.path, tmp_path / "run"))
     content = folder.latest.read_bytes()
     folder.latest.write_bytes(content[: len(content) // 2])
-    with pytest.raises(SurefootError, match=r"broken.*previous\.ckpt beside it is whole, at 1024 steps") as error:
+    with pytest.raises(SurefootError, match=r"broken.*previous\.ckpt next to it is intact, at 1024 steps") as error:
         folder.load()
     assert "\n" not in str(error.value)
     folder.previous.unlink()
@@ -178,7 +178,7 @@ def test_the_error_of_a_cut_off_checkpoint_names_the_one_before(whole: TrainingL
         folder.load()
 
 
-def test_a_checkpoint_with_a_flipped_bit_is_refused(tmp_path: Path) -> None:
+def test_a_checkpoint_with_a_flipped_bit_is_rejected(tmp_path: Path) -> None:
     path = tmp_path / "a.ckpt"
     write_checkpoint(path, {"weights": torch.arange(1000.0)})
     content = bytearray(path.read_bytes())
@@ -189,7 +189,7 @@ def test_a_checkpoint_with_a_flipped_bit_is_refused(tmp_path: Path) -> None:
 
 
 class Intruder:
-    """Runs a command when it is unpickled."""
+    """An object that runs a command when it is unpickled."""
 
     def __init__(self, command: str) -> None:
         self.command = command
@@ -199,8 +199,8 @@ class Intruder:
 
 
 @pytest.mark.parametrize("inside", ["array", "table"])
-def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path, inside: str) -> None:
-    """The digest matches: whoever writes such a file writes that too."""
+def test_a_checkpoint_that_would_run_code_is_rejected(tmp_path: Path, inside: str) -> None:
+    """The digest is valid, because an attacker can compute it."""
     path, mark = tmp_path / "a.ckpt", tmp_path / "was-here"
     bad = Intruder(f"touch {mark}")
     write_checkpoint(path, {"steps": np.array([bad], object) if inside == "array" else bad})
@@ -211,7 +211,7 @@ def test_a_checkpoint_that_would_run_code_is_refused(tmp_path: Path, inside: str
 
 
 @pytest.mark.parametrize("kind", [bool, np.int64, np.float32, np.float64])
-def test_arrays_come_back_to_the_last_bit(tmp_path: Path, kind: type) -> None:
+def test_arrays_are_restored_to_the_last_bit(tmp_path: Path, kind: type) -> None:
     state = {"array": np.arange(6).reshape(2, 3).astype(kind), "stream": np.random.default_rng(3).bit_generator.state}
     write_checkpoint(tmp_path / "a.ckpt", state)
     again = read_checkpoint(tmp_path / "a.ckpt")
@@ -220,15 +220,15 @@ def test_arrays_come_back_to_the_last_bit(tmp_path: Path, kind: type) -> None:
     assert again["stream"] == state["stream"]
 
 
-def test_a_run_folder_of_another_format_is_refused(tmp_path: Path) -> None:
+def test_a_run_folder_of_another_format_is_rejected(tmp_path: Path) -> None:
     folder = RunFolder.create(tiny_config(), tmp_path)
     about = json.loads((folder.path / "run.json").read_text())
     (folder.path / "run.json").write_text(json.dumps({**about, "format": 99, "surefoot": "9.0"}))
-    with pytest.raises(SurefootError, match=r"format 99, by surefoot 9\.0.*reads format 4"):
+    with pytest.raises(SurefootError, match=r"format 99 of surefoot 9\.0.*reads format 4"):
         RunFolder.open(folder.path)
 
 
-def test_a_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_the_old_checkpoint_intact(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.ckpt"
     write_checkpoint(path, {"steps": 1})
 
@@ -236,7 +236,7 @@ def test_a_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(SurefootError, match="No space left on device; what was saved before is untouched"):
+    with pytest.raises(SurefootError, match="No space left on device; files saved earlier are unchanged"):
         write_checkpoint(path, {"steps": 2})
     monkeypatch.undo()
     assert read_checkpoint(path) == {"steps": 1}
@@ -244,10 +244,10 @@ def test_a_full_disk_leaves_the_old_checkpoint_whole(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_full_disk_under_the_log_is_one_line_of_error(whole: TrainingLoop) -> None:
+def test_a_full_disk_under_the_log_is_a_one_line_error(whole: TrainingLoop) -> None:
     folder = RunFolder(whole.folder.path)
-    folder.figures_log = Path("/dev/full")
-    with pytest.raises(SurefootError, match="No space left on device; what was saved before is untouched"):
+    folder.metrics_log = Path("/dev/full")
+    with pytest.raises(SurefootError, match="No space left on device; files saved earlier are unchanged"):
         folder.log({"steps": 1})
 
 
@@ -262,12 +262,14 @@ def test_a_full_disk_under_the_log_is_one_line_of_error(whole: TrainingLoop) -> 
         ({"ppo": {"epochs": "many"}}, "ppo.epochs is 'many'; it must be a whole number"),
     ],
 )
-def test_a_configuration_out_of_bounds_is_refused(changes: dict[str, object], rule: str) -> None:
+def test_a_configuration_out_of_bounds_is_rejected(changes: dict[str, object], rule: str) -> None:
     with pytest.raises(SurefootError, match=rule.replace(".", r"\.")):
         tiny_config(**changes)
 
 
-def test_a_steered_run_logs_errors_and_terms_to_either_logger(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_with_commands_logs_errors_and_reward_terms_to_both_loggers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     monkeypatch.setenv("WANDB_MODE", "offline")
@@ -300,7 +302,7 @@ def nothing(state: dict) -> None:
 
 
 def put(value: object, *keys: object):
-    """Return a change of a state: a value at a place of it; `...` takes the entry out."""
+    """Return a function that changes a state by setting a value; `...` removes the entry."""
 
     def change(state: dict) -> None:
         for key in keys[:-1]:
@@ -315,7 +317,7 @@ def put(value: object, *keys: object):
 
 
 def spoil(*keys: object):
-    """Return a change of a state: the first number of an array or tensor becomes NaN."""
+    """Return a function that changes a state by setting the first number of an array or tensor to NaN."""
 
     def change(state: dict) -> None:
         for key in keys:
@@ -351,24 +353,24 @@ CHANGES = [
 
 
 @pytest.mark.parametrize("change", CHANGES, ids=lambda change: change.__name__)
-def test_a_checkpoint_with_other_content_is_refused_in_one_line(
+def test_a_checkpoint_with_other_content_is_rejected_in_one_line(
     change, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Its digest matches: whoever writes such a file writes that too."""
+    """The digest is valid, because an attacker can compute it."""
     folder = RunFolder(shutil.copytree(trained, tmp_path / "run"))
     state = folder.load()
     change(state)
     write_checkpoint(folder.latest, state)
-    before = folder.figures_log.read_bytes()
+    before = folder.metrics_log.read_bytes()
     assert main(["train", "--resume", str(folder.path)]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"surefoot: error: {folder.latest}: ")
     assert error.count("\n") == 1
-    assert folder.figures_log.read_bytes() == before
+    assert folder.metrics_log.read_bytes() == before
 
 
 @pytest.mark.parametrize("state", [None, [1], {"steps": None}, {}])
-def test_more_steps_are_refused_where_a_checkpoint_does_not_say_how_many_it_has(
+def test_more_steps_are_rejected_for_a_checkpoint_without_steps(
     state: object, trained: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = RunFolder(shutil.copytree(trained, tmp_path / "run"))
@@ -378,7 +380,7 @@ def test_more_steps_are_refused_where_a_checkpoint_does_not_say_how_many_it_has(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-def test_no_training_starts_from_weights_that_are_no_numbers(trained: Path, tmp_path: Path) -> None:
+def test_a_warm_start_from_weights_that_are_not_finite_is_rejected(trained: Path, tmp_path: Path) -> None:
     for number, change in enumerate((spoil(*ALGORITHM, "actor_state_dict", "mlp.0.weight"), put(None, "learner"))):
         folder = RunFolder(shutil.copytree(trained, tmp_path / str(number)))
         state = folder.load()

@@ -1,4 +1,4 @@
-"""Warm starts: networks of another run, worked by hand and in runs."""
+"""Warm starts from the networks of another run, worked by hand and in runs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from surefoot.learn.training_loop import TrainingLoop
 from surefoot.learn.transfer import NETWORK_FIELDS, PRIVILEGED, Network, move_inputs, network_inputs, scale_output
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.height_scan import AROUND, MAP
+from surefoot.task.height_scan import CRITIC_GRID, POLICY_GRID
 from surefoot.world.sim_world import SimWorld
 
 TINY = {
@@ -45,7 +45,7 @@ def tiny_config(**changes: object) -> TrainConfig:
 def train(root: Path, config: TrainConfig, stop_after: int | None = None) -> TrainingLoop:
     loop = TrainingLoop.create(config, RunFolder.create(config, root), SimWorld)
     updates: list[Any] = []
-    loop.run(lambda *figures: updates.append(figures), lambda: len(updates) == stop_after)
+    loop.run(lambda *metrics: updates.append(metrics), lambda: len(updates) == stop_after)
     return loop
 
 
@@ -55,7 +55,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> TrainingLoop:
 
 
 def first_layer(*inputs: float) -> dict[str, torch.Tensor]:
-    """Return a network of one hidden unit that has these weights, a tenth of them as means, and ten times as stds."""
+    """Return a network of one hidden unit with weights `inputs`, means of a tenth of them, and stds of ten times."""
     row = torch.tensor([inputs])
     statistics = {"obs_normalizer._mean": 0.1 * row, "obs_normalizer._std": 10 * row}
     count = {"obs_normalizer.count": torch.tensor(7)}
@@ -63,14 +63,14 @@ def first_layer(*inputs: float) -> dict[str, torch.Tensor]:
 
 
 def test_moved_inputs_worked_by_hand():
-    near = MAP.nearest(AROUND)["ground-2.5.left0.5"]
+    near = POLICY_GRID.nearest(CRITIC_GRID)["ground-2.5.left0.5"]
     assert near == "ground-3.middle"
     network = Network(first_layer(1.0, 2.0), [(0, "a"), (0, "b")])
     critic = Network(first_layer(5.0, 6.0, 7.0, 8.0), [(0, "a"), (0, "b"), (PRIVILEGED, "c"), (PRIVILEGED, near)])
     names = [(0, "b"), (1, "a"), (0, "a"), (0, "c"), (0, "ground-2.5.left0.5"), (0, "unknown")]
     moved = move_inputs(network, Network(first_layer(*[0.5] * 6), names), critic)
     assert moved["mlp.0.weight"].tolist() == [[2.0, 0.0, 1.0, 0.0, 0.0, 0.0]]
-    # Of the network, the critic's input of the name, the network, the critic's nearest point, a new one.
+    # From the network, the critic's input of the name, the network, the critic's nearest point, and a new network.
     expected = torch.tensor([[2.0, 5.0, 1.0, 7.0, 8.0, 0.5]])
     assert torch.equal(moved["obs_normalizer._mean"], 0.1 * expected)
     assert torch.equal(moved["obs_normalizer._std"], 10 * expected)
@@ -78,7 +78,7 @@ def test_moved_inputs_worked_by_hand():
     assert all(torch.equal(moved[name], network.parameters[name]) for name in same)
 
 
-def test_a_layer_of_another_width_than_the_inputs_stays():
+def test_a_layer_of_another_width_is_not_changed():
     network = Network(first_layer(1.0, 2.0, 3.0), [(0, "a"), (0, "b")])
     critic = Network(first_layer(1.0), [(0, "a"), (0, "b")])
     moved = move_inputs(network, Network(first_layer(0.0, 0.0, 0.0), [(0, "a"), (0, "b"), (0, "c")]), critic)
@@ -92,7 +92,7 @@ def test_scaled_outputs_worked_by_hand(networks: list[str]):
     actor = {"distribution.log_std_param": torch.ones(3)}
     for name in networks:
         actor |= {f"{name}.0.weight": torch.ones(1, 1), f"{name}.0.bias": torch.ones(1)}
-        # The tenth layer comes after the second.
+        # Layers are ordered by number, not by name.
         actor |= {f"{name}.2.weight": torch.ones(1, 1), f"{name}.2.bias": torch.ones(1)}
         actor |= {f"{name}.10.weight": torch.tensor([[2.0], [4.0], [3.0]])}
         actor |= {f"{name}.10.bias": torch.tensor([1.0, -1.0, 0.5])}
@@ -100,10 +100,10 @@ def test_scaled_outputs_worked_by_hand(networks: list[str]):
     assert scaled.keys() == actor.keys()
     for name, value in scaled.items():
         if name.endswith("10.weight"):
-            # Half as wide in bounds twice as far apart, a quarter in four times; equal bounds leave no choice.
+            # Half the output with bounds twice as wide, a quarter with four times; equal bounds have no effect.
             assert value.tolist() == [[1.0], [1.0], [3.0]]
         elif name.endswith("10.bias"):
-            # Action -1 was feedback 0 of the second: action -0.5 now.
+            # Action -1 was feedback 0 of the second coordinate, which is action -0.5 now.
             assert value.tolist() == [0.5, -0.5, 0.5]
         else:
             assert torch.equal(value, actor[name])
@@ -134,10 +134,10 @@ CHANGES: dict[str, Any] = {
     "start_linear_speed": 0.1,
     "start_angular_speed": 0.2,
 }
-"""A change of each field of a task; a robot or a reference can't be changed without others."""
+"""One change per field of a task; some fields can only be changed together with others."""
 
 
-def test_every_field_that_changes_what_networks_observe_or_do_is_named():
+def test_network_fields_are_complete():
     def interface(task: TaskConfig) -> tuple[object, ...]:
         env = LocomotionEnv(task, 1, SimWorld, threads=1)
         return network_inputs(env, True), env.gait.action_names, env.gait.low.tolist(), env.gait.high.tolist()
@@ -150,19 +150,19 @@ def test_every_field_that_changes_what_networks_observe_or_do_is_named():
         for name, value in CHANGES.items()
         if interface(from_mapping(TaskConfig, {name: value}, base=task)) != before
     }
-    # A warm start takes these as alike in both runs.
+    # A warm start assumes that these are equal in both runs.
     alike = {"action", "memory", "commands"}
-    # The reward goes with the reference.
+    # The reward depends on the reference.
     assert changing == {*NETWORK_FIELDS, *alike} - {"reference", "reward"}
 
 
-def test_a_run_starts_from_one_with_other_ranges_and_more_exploration(whole: TrainingLoop, tmp_path: Path) -> None:
+def test_a_warm_start_may_change_ranges_and_exploration(whole: TrainingLoop, tmp_path: Path) -> None:
     def start(before: TrainingLoop, **task: object) -> TrainingLoop:
         config = tiny_config(start_from=str(before.folder.path), steps=256, task=task, ppo={"start_std": 0.2})
         return TrainingLoop.create(config, RunFolder.create(config, tmp_path), SimWorld)
 
     def first_layer(loop: TrainingLoop) -> dict[str, torch.Tensor]:
-        """Return the value network's weights by the input that only it observes."""
+        """Return the critic's weights by its privileged inputs."""
         layers = loop.learner.algorithm.save()["critic_state_dict"].values()
         weights = next(value for value in layers if value.dim() == 2 and len(value) > 1)
         columns = loop.learner.env.privileged_columns
@@ -180,7 +180,7 @@ def test_a_run_starts_from_one_with_other_ranges_and_more_exploration(whole: Tra
     assert not after["motor_friction"].any()
     pushed.learner.update()
     pushed.save()
-    # Another range comes first, and pushes end.
+    # A new range precedes the others, and pushes are removed.
     last = first_layer(pushed)
     ranges = {"base_mass_ratio": [0.9, 1.1], "motor_friction": [0.0, 0.1]}
     other = first_layer(start(pushed, randomize=ranges, pushes={"enabled": False}))
@@ -190,9 +190,7 @@ def test_a_run_starts_from_one_with_other_ranges_and_more_exploration(whole: Tra
     assert all(torch.equal(other[name], last[name]) for name in other)
 
 
-def test_observations_and_history_are_added_to_networks_without_a_change_of_their_outputs(
-    whole: TrainingLoop, tmp_path: Path
-) -> None:
+def test_added_observations_and_history_do_not_change_outputs(whole: TrainingLoop, tmp_path: Path) -> None:
     names = whole.config.task.observations
     task = {"observations": ["height_scan", *reversed(names), "gravity"], "history": 3}
     config = tiny_config(start_from=str(whole.folder.path), task=task)
@@ -219,7 +217,7 @@ def test_observations_and_history_are_added_to_networks_without_a_change_of_thei
     assert np.abs(loop.learner.act(inputs[1]["policy"].numpy()) - actions[1]).max() > 1e-4
 
 
-def test_a_new_observation_is_normalized_as_the_value_network_normalized_it(tmp_path: Path) -> None:
+def test_a_new_observation_has_the_normalization_of_the_critic(tmp_path: Path) -> None:
     terrain = {"ground": "rough:0.02"}
     before = train(tmp_path / "blind", tiny_config(task={"terrain": terrain}), stop_after=1)
     names = before.config.task.observations
@@ -228,15 +226,15 @@ def test_a_new_observation_is_normalized_as_the_value_network_normalized_it(tmp_
     seeing = TrainingLoop.create(config, RunFolder.create(config, tmp_path), SimWorld)
     learned, actor = before.learner.algorithm.critic.obs_normalizer, seeing.learner.policy.obs_normalizer
     columns = [*before.learner.env.observer.columns, *before.learner.env.privileged_columns]
-    near = MAP.nearest(AROUND)
+    near = POLICY_GRID.nearest(CRITIC_GRID)
     assert near["ground-2.5.left0.5"] == "ground-3.middle"
-    places = [columns.index(near[name]) for name in MAP.columns()]
+    places = [columns.index(near[name]) for name in POLICY_GRID.columns()]
     assert (learned.mean[places] < -0.1).all()
     for name in ("mean", "std"):
         assert torch.equal(getattr(actor, name)[-len(places) :], getattr(learned, name)[places])
 
 
-def test_start_from_refuses_a_task_without_an_observation_that_the_policy_needs(
+def test_start_from_rejects_a_task_without_an_observation_that_the_policy_needs(
     whole: TrainingLoop, tmp_path: Path
 ) -> None:
     config = tiny_config(start_from=str(whole.folder.path), task={"observations": ["roll", "pitch", "roll_rate"]})
@@ -261,7 +259,7 @@ def test_a_policy_gives_the_same_feedback_between_other_bounds(whole: TrainingLo
     np.testing.assert_allclose(feedback[1], feedback[0], atol=1e-5)
 
 
-def test_start_from_refuses_networks_of_other_layers(whole: TrainingLoop, tmp_path: Path) -> None:
+def test_start_from_rejects_networks_of_other_layers(whole: TrainingLoop, tmp_path: Path) -> None:
     config = tiny_config(start_from=str(whole.folder.path), ppo={"policy_hidden": [16]})
     with pytest.raises(SurefootError, match=r"start_from: the other run's networks do not fit"):
         TrainingLoop.create(config, RunFolder.create(config, tmp_path), SimWorld)

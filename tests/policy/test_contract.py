@@ -1,4 +1,4 @@
-"""The contract of a policy file."""
+"""Contracts of policy files: JSON round trip, and rejection of invalid contracts."""
 
 from __future__ import annotations
 
@@ -75,12 +75,15 @@ def test_json_and_back_gives_an_equal_contract_to_the_last_bit(contract: Contrac
         ({"voltage": 0.0}, "contract.voltage is 0; it must be 1 or more"),
         ({"rest": [0.0, 1e9]}, "contract.rest[1] is 1e+09; it must be 6.28"),
         ({"reference": {"swing": {"amplitude": 10**300}}}, "it holds 1" + 39 * "0" + "; whole numbers"),
-        ({"reference": {"kind": "table", "file": "t.npz"}}, "contract.reference names a file; a policy holds the rows"),
+        (
+            {"reference": {"kind": "table", "file": "t.npz"}},
+            "contract.reference names a file; a policy must contain",
+        ),
         ({"task": [0.02]}, "contract.task is [0.02]; it must be a table"),
         ({"colour": "red"}, "contract.colour is not a key"),
     ],
 )
-def test_a_contract_refuses_other_keys_and_values_than_it_has(contract: Contract, change: dict, message: str):
+def test_a_contract_rejects_other_keys_and_values_than_it_has(contract: Contract, change: dict, message: str):
     data = json.loads(contract.to_json()) | change
     with pytest.raises(SurefootError) as error:
         Contract.from_json(json.dumps(data))
@@ -90,7 +93,7 @@ def test_a_contract_refuses_other_keys_and_values_than_it_has(contract: Contract
 
 @pytest.mark.parametrize("number", ["NaN", "-Infinity", "1e400", "1" + 400 * "0"])
 @pytest.mark.parametrize("where", ["control_latency", "voltage", "history", "fall_angle", "speed_mean"])
-def test_a_number_that_is_not_finite_is_refused_at_any_depth(contract: Contract, where: str, number: str):
+def test_a_number_that_is_not_finite_is_rejected_at_any_depth(contract: Contract, where: str, number: str):
     whole = replace(contract, task={"fall_angle": 0.5}, figures={"speed_mean": 0.5}).to_json()
     text = re.sub(rf'("{where}": )[0-9.]+', rf"\g<1>{number}", whole)
     with pytest.raises(SurefootError, match=f"^contract: is not JSON: it holds {number[:40]}; numbers must be finite$"):
@@ -98,7 +101,7 @@ def test_a_number_that_is_not_finite_is_refused_at_any_depth(contract: Contract,
 
 
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", '"surefoot-policy"', "{}"])
-def test_a_text_that_is_no_contract_is_refused(text: str):
+def test_a_text_that_is_no_contract_is_rejected(text: str):
     with pytest.raises(SurefootError, match=r"contract: (is not JSON|its kind must be)"):
         Contract.from_json(text)
 

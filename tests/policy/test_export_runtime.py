@@ -1,4 +1,4 @@
-"""Export of policies, and their runtime."""
+"""Export of policies, and the runtime of policy files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy
+from shipped_variants import modified_policy
 
 torch = pytest.importorskip("torch")
 onnx = pytest.importorskip("onnx")
@@ -27,7 +27,7 @@ from surefoot.world.sim_world import SimWorld  # noqa: E402
 
 
 def make_learner(task: str, activation: str = "elu", history: int = 1) -> PpoLearner:
-    """An untrained learner whose normalizer and last layer are not those of the first moment."""
+    """Return an untrained learner with a changed normalizer and last layer."""
     config, ppo = load_train_config(task), PPOConfig(policy_hidden=(16, 8), activation=activation)
     config = replace(config, task=replace(config.task, history=history), num_envs=2, threads=1, ppo=ppo)
     learner = PpoLearner(config, SimWorld)
@@ -97,57 +97,57 @@ def test_the_feedback_is_independent_of_the_batch(policy_file: Path, rng: np.ran
         (np.array([[0.0, 0.0, 0.0, np.inf]]), "observation 'pitch_rate' is not finite"),
     ],
 )
-def test_an_observation_that_does_not_fit_is_refused(policy_file: Path, observation: np.ndarray, message: str):
+def test_an_observation_that_does_not_fit_is_rejected(policy_file: Path, observation: np.ndarray, message: str):
     with pytest.raises(SurefootError, match=message):
         PolicyRuntime.load(policy_file).feedback(observation)
 
 
-def refused(path: Path, message: str) -> None:
+def rejected(path: Path, message: str) -> None:
     with pytest.raises(SurefootError, match=message) as caught:
         PolicyRuntime.load(path)
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
 
 
-def test_a_missing_file_is_refused(tmp_path: Path):
-    refused(tmp_path / "none.onnx", "can't be read: No such file")
-    refused(tmp_path, "can't be read: Is a directory")
+def test_a_missing_file_is_rejected(tmp_path: Path):
+    rejected(tmp_path / "none.onnx", "can't be read: No such file")
+    rejected(tmp_path, "can't be read: Is a directory")
 
 
 @pytest.mark.parametrize("part", [0.0, 0.001, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 0.999])
-def test_a_truncated_file_is_refused(policy_file: Path, tmp_path: Path, part: float):
+def test_a_truncated_file_is_rejected(policy_file: Path, tmp_path: Path, part: float):
     data = policy_file.read_bytes()
     path = tmp_path / "cut.onnx"
     path.write_bytes(data[: int(part * len(data))])
-    refused(path, "is empty|is damaged or not ONNX|has no contract")
+    rejected(path, "is empty|is damaged or not ONNX|has no contract")
 
 
-def test_another_kind_of_file_is_refused(tmp_path: Path):
+def test_another_kind_of_file_is_rejected(tmp_path: Path):
     path = tmp_path / "text.onnx"
     path.write_text("I am no policy.\n" * 40)
-    refused(path, "is damaged or not ONNX")
+    rejected(path, "is damaged or not ONNX")
 
 
-def test_onnx_without_a_contract_is_refused(policy_file: Path, tmp_path: Path):
+def test_onnx_without_a_contract_is_rejected(policy_file: Path, tmp_path: Path):
     model = onnx.load(policy_file)
     model.ClearField("metadata_props")
     onnx.save(model, tmp_path / "p.onnx")
-    refused(tmp_path / "p.onnx", "has no contract")
+    rejected(tmp_path / "p.onnx", "has no contract")
 
 
-def test_a_graph_of_another_width_than_its_contract_is_refused(policy_file: Path, tmp_path: Path):
-    path = edited_policy(tmp_path / "p.onnx", lambda contract: contract.update(history=2), policy_file)
-    refused(path, r"input is observation .*its contract says .*8\]")
+def test_a_graph_of_another_width_than_its_contract_is_rejected(policy_file: Path, tmp_path: Path):
+    path = modified_policy(tmp_path / "p.onnx", lambda contract: contract.update(history=2), policy_file)
+    rejected(path, r"input is observation .*its contract says .*8\]")
 
 
-def test_feedback_that_is_not_finite_is_refused(policy_file: Path, tmp_path: Path):
+def test_feedback_that_is_not_finite_is_rejected(policy_file: Path, tmp_path: Path):
     def enlarge(graph: Any) -> None:
         large = {"minus_one": 1.0, "half_width": 3e38, "middle": 3e38}
         for tensor in graph.initializer:
             if tensor.name in large:
                 tensor.raw_data = np.full(tuple(tensor.dims), large[tensor.name], np.float32).tobytes()
 
-    runtime = PolicyRuntime.load(edited_policy(tmp_path / "p.onnx", policy=policy_file, graph=enlarge))
+    runtime = PolicyRuntime.load(modified_policy(tmp_path / "p.onnx", policy=policy_file, graph=enlarge))
     with pytest.raises(SurefootError, match="not finite"):
         runtime.feedback(np.zeros((1, 4)))
 
@@ -171,17 +171,17 @@ def test_a_failed_export_leaves_the_old_file(policy_file: Path, tmp_path: Path):
     assert [file.name for file in tmp_path.iterdir()] == ["p.onnx"]
 
 
-def test_an_export_that_does_not_fit_is_refused(learner: PpoLearner, tmp_path: Path):
+def test_an_export_that_does_not_fit_is_rejected(learner: PpoLearner, tmp_path: Path):
     contract, network = make_contract(learner.env), nn.Linear(4, 8)
     for module, fitting, name, message in (
         (network, replace(contract, history=2), "p.onnx", r"can't take observations \(N, 8\)"),
-        (nn.Linear(4, 7), contract, "p.onnx", r"the network gives \(N, 7\) for \(N, 4\); its contract says \(N, 8\)"),
+        (nn.Linear(4, 7), contract, "p.onnx", r"the network returns \(N, 7\) for \(N, 4\); its contract says \(N, 8\)"),
         (network, contract, "p.pt", "must end in .onnx"),
         (nn.Sequential(network, nn.GELU()), contract, "p.onnx", "operator gelu, .*allowed are linear layers, ELU"),
         (nn.Sequential(nn.LayerNorm(4, eps=1e-3), network), contract, "p.onnx", "operator native_layer_norm"),
         (Decides(), contract, "p.onnx", "can't take observations .*control flow"),
         (nn.Sequential(network, MixesRows()), contract, "p.onnx", "operator mean"),
-        (Changes(), contract, "p.onnx", "would give other actions than the network"),
+        (Changes(), contract, "p.onnx", "would return other actions than the network"),
     ):
         with pytest.raises(SurefootError, match=message):
             export_policy(module, fitting, tmp_path / name)
@@ -199,7 +199,7 @@ class MixesRows(nn.Module):
 
 
 class Changes(nn.Module):
-    """Another network at each call."""
+    """Module that returns another output at each call."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -211,7 +211,7 @@ class Changes(nn.Module):
 
 
 class Normalizes(nn.Module):
-    """A normalizer with its numbers in buffers, written with functions."""
+    """Normalizer with its parameters in buffers, written with functions."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -239,7 +239,7 @@ def test_any_module_gives_the_same_feedback_in_its_file(
     torch.manual_seed(3)
     network = nn.Sequential(*NETWORKS[name])
     observation = rng.normal(scale=3.0, size=(200, 4)).astype(np.float32)
-    network(torch.from_numpy(observation))  # batch norm has statistics of its own
+    network(torch.from_numpy(observation))  # updates the statistics of batch norm
     path = export_policy(network, make_contract(learner.env), tmp_path / "p.onnx", output)
     assert network.training
     with torch.no_grad():

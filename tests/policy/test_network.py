@@ -1,4 +1,4 @@
-"""Networks that surefoot could not have written are refused before onnxruntime reads them."""
+"""Networks that surefoot could not have written are rejected before onnxruntime reads them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import edited_policy
+from shipped_variants import modified_policy
 
 from surefoot.api.policies import find_policy
 from surefoot.errors import SurefootError
@@ -66,7 +66,7 @@ def constant(name: str, shape: tuple[int, ...] = (1,), kind: type = np.float32) 
 
 
 COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
-"""Two constants of 64 kB each whose sum has a gigabyte."""
+"""Two constants of 64 kB each whose broadcast sum has a gigabyte."""
 
 
 @pytest.mark.parametrize(
@@ -74,21 +74,24 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
     [
         (loop, "operator 'Loop'; allowed are Sub, Div"),
         (add(make_node("ConstantOfShape", ["shape"], ["large"])), "operator 'ConstantOfShape'; allowed are Sub, Div"),
-        (add(COLUMN, ROW, make_node("Add", ["column", "row"], ["x"])), "a Add that surefoot could not have written"),
+        (
+            add(COLUMN, ROW, make_node("Add", ["column", "row"], ["x"])),
+            "a Add with inputs that surefoot could not have",
+        ),
         (
             add(COLUMN, make_node("Add", ["observation", "column"], ["x"])),
             "Add of 'column', which has more than one row",
         ),
         (
             add(constant("deep", (1, 1, 1))),
-            r"constant 'deep' has shape \(1, 1, 1\); at most 2 dimensions of 1 to 16384",
+            r"constant 'deep' has shape \(1, 1, 1\); at most 2 dimensions of size 1 to 16384",
         ),
         (wide, "constant 'wide' has shape"),
         (in_another_file, "its constant has a field 13.2"),
-        (add(constant("whole", kind=np.int32)), "constant 'whole' does not hold 32-bit numbers"),
+        (add(constant("whole", kind=np.int32)), "constant 'whole' does not hold 32-bit floats"),
         (
             lambda graph: setattr(graph.initializer[0], "raw_data", b""),
-            "constant 'constant_0' does not hold 32-bit numbers",
+            "constant 'constant_0' does not hold 32-bit floats",
         ),
         (not_finite, "constant 'constant_2' holds numbers that are not finite"),
         (
@@ -98,7 +101,7 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
         (add(*[make_node("Relu", ["feedback"], ["x"])] * 2000), "field 1 more than 1024 times"),
         (
             add(make_node("Gemm", ["observation", "observation", "constant_3"], ["square"], transB=1)),
-            "Gemm of 'observation', which is not a value that it can take",
+            "Gemm of 'observation', which is not an allowed input",
         ),
         (lambda graph: setattr(graph.node[2].attribute[0], "name", "transA"), "Gemm with other attributes"),
         (
@@ -106,22 +109,22 @@ COLUMN, ROW = constant("column", (16384, 1)), constant("row", (1, 16384))
             "its attribute has a field 2.5",
         ),
         (lambda graph: setattr(graph.node[3], "domain", "com.microsoft"), "its node has a field 7.2"),
-        (lambda graph: graph.node[-1].input.pop(), "a Add that surefoot could not have written"),
+        (lambda graph: graph.node[-1].input.pop(), "a Add with inputs that surefoot could not have"),
         (add(make_node("Relu", ["feedback"], ["feedback"])), "value 'feedback' twice"),
         (lambda graph: graph.initializer.append(graph.initializer[0]), "constant 'constant_0' twice"),
         (lambda graph: graph.sparse_initializer.append(onnx.SparseTensorProto()), "its graph has a field 15.2"),
     ],
 )
 @pytest.mark.usefixtures("never_run")
-def test_a_hostile_network_is_refused_before_it_is_run(edit: Callable[[Any], object], message: str, tmp_path: Path):
+def test_a_hostile_network_is_rejected_before_it_is_run(edit: Callable[[Any], object], message: str, tmp_path: Path):
     with pytest.raises(SurefootError, match=message) as caught:
-        PolicyRuntime.load(edited_policy(tmp_path / "hostile.onnx", policy="trot", graph=edit))
+        PolicyRuntime.load(modified_policy(tmp_path / "hostile.onnx", policy="trot", graph=edit))
     assert str(caught.value).startswith(f"policy file {tmp_path / 'hostile.onnx'}: ")
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.usefixtures("never_run")
-def test_a_stale_file_is_refused_before_it_is_run(tmp_path: Path):
+def test_a_stale_file_is_rejected_before_it_is_run(tmp_path: Path):
     path = tmp_path / "stale.onnx"
     path.write_bytes(find_policy("trot").read_bytes().replace(b"constant_4", b"constant_Z"))
     with pytest.raises(SurefootError, match="its digest does not match"):
@@ -129,7 +132,7 @@ def test_a_stale_file_is_refused_before_it_is_run(tmp_path: Path):
 
 
 def test_a_file_of_onnxruntimes_own_format_inside_is_read_as_onnx(tmp_path: Path):
-    """Bytes 4 to 8 would make onnxruntime read another model than the one that was checked."""
+    """Bytes 4 to 8 would make onnxruntime read another model than the checked one."""
     data, producer = find_policy("trot").read_bytes(), b"\x12\x08surefoot"
     path = tmp_path / "both.onnx"
     path.write_bytes(encode_field(2, b"..ORTM") + data.replace(producer, b"", 1))
@@ -137,7 +140,7 @@ def test_a_file_of_onnxruntimes_own_format_inside_is_read_as_onnx(tmp_path: Path
     assert PolicyRuntime.load(path).contract == PolicyRuntime.load(find_policy("trot")).contract
 
 
-def test_a_file_that_is_too_large_is_refused(tmp_path: Path):
+def test_a_file_that_is_too_large_is_rejected(tmp_path: Path):
     path = tmp_path / "large.onnx"
     with path.open("wb") as file:
         file.truncate(MAX_BYTES + 1)
@@ -160,7 +163,7 @@ TROT = read_parts(find_policy("trot").read_bytes())
         ),
     ],
 )
-def test_a_contract_that_does_not_fit_its_reader_is_refused(contract: bytes, message: str, tmp_path: Path):
+def test_a_contract_that_does_not_fit_its_reader_is_rejected(contract: bytes, message: str, tmp_path: Path):
     path = tmp_path / "p.onnx"
     entry = encode_field(14, encode_field(1, b"surefoot") + encode_field(2, contract))
     path.write_bytes(add_digest(encode_field(7, TROT.graph) + encode_field(8, b"\x10\x11") + entry))
@@ -187,7 +190,7 @@ onnxruntime.InferenceSession = session
 
 
 def test_what_onnxruntime_prints_never_gets_to_stdout(tmp_path: Path):
-    """On processors and devices that it does not know it prints warnings, with --json into the middle of an object."""
+    """It prints warnings on unknown processors and devices, which with --json would end up within a JSON object."""
     (tmp_path / "onnxruntime.py").write_text(CHATTY)
     script = f"""
 import sys

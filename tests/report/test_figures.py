@@ -38,7 +38,7 @@ MakeComparison = Callable[..., Comparison]
 
 @pytest.fixture
 def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
-    """Figures that are written while a test runs; a test that draws leaves matplotlib's settings as they were."""
+    """Record the figures written during a test, and check that matplotlib's settings are unchanged afterwards."""
     figures: list[Figure] = []
     save, before = Figure.savefig, dict(matplotlib.rcParams)
 
@@ -52,18 +52,18 @@ def drawn(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 
 
 def heights(figure: Figure) -> list[float]:
-    """Heights of the bars in the first panel, without those that only make a legend."""
+    """Return the heights of the bars in the first panel, without bars that only create legend entries."""
     return [float(bar.get_height()) for bar in figure.axes[0].patches if bar.get_height()]
 
 
 def lines(figure: Figure, panel: int, length: int = 2) -> list[list[float]]:
-    """Values of the lines of at least so many points in a panel."""
+    """Return the values of all lines in a panel with at least a given number of points."""
     plotted = [np.asarray(line.get_ydata(), float) for line in figure.axes[panel].lines]
     return [values.tolist() for values in plotted if values.size >= length]
 
 
 def trot(make_run: MakeRun, steps: int = 700, with_distance: bool = True) -> EpisodeTrace:
-    """A made-up trot; without `with_distance`, of a robot that sees neither itself nor the ground."""
+    """Return a synthetic trot; without `with_distance`, its position and foot contacts are unknown."""
     time, rng = 0.006 * np.arange(1, steps + 1), np.random.default_rng(0)
     phases, gap = np.array([0.0, 0.5, 0.5, 0.0]), 0.0 if with_distance else np.nan
     arrays = {
@@ -85,7 +85,7 @@ def test_episode_figures_show_footfalls_tilt_angles_and_power(
     assert footfall_diagram(trace, tmp_path / "deeper" / "feet.png").exists()
     episode_plot(trace, robot, tmp_path / "episode.png")
     feet, episode = drawn
-    # Four feet, one row each; bars of the front left foot start at its touchdowns, 0.5 s apart.
+    # One row per foot; bars of the front left foot start at its touchdowns, every 0.5 s.
     assert [label.get_text().split(" (")[0] for label in feet.axes[0].get_yticklabels()] == [
         *("back right", "front right", "front left", "back left")
     ]
@@ -94,7 +94,7 @@ def test_episode_figures_show_footfalls_tilt_angles_and_power(
         np.testing.assert_allclose(np.diff(starts[1:]), 0.5, atol=0.01)
     roll, pitch = lines(episode, 0, 1)
     np.testing.assert_array_equal([roll, pitch], trace.roll_pitch_yaw[:, :2].T)
-    # One second, from 2 s on where there is as much.
+    # One second, starting at 2 s if the episode is long enough.
     shown = (trace.time >= min(trace.duration, 2.0) - 1e-9) & (trace.time <= 3.0) if steps > 1 else [0]
     np.testing.assert_array_equal(lines(episode, 4, 1), robot.to_pose(trace.motor_angle[shown])[:, 0].T)
     power = lines(episode, 3, 1)[0]
@@ -133,13 +133,13 @@ def test_gap_figure_shows_unknown_and_negative_returns(tmp_path: Path, drawn: li
     gap_figure([policy_gap("p", [1.0], {"b": [math.nan]}, falls=1)], tmp_path / "a.png")
     gap_figure([policy_gap("p", [-1.0, -3.0], {"b": [0.5, 0.5]})], tmp_path / "b.png")
     assert heights(drawn[0]) == [1.0]
-    assert "return\nnot known\n1 of 1\nfell" in [text.get_text() for text in drawn[0].axes[0].texts]
+    assert "return\nunknown\n1 of 1\nfell" in [text.get_text() for text in drawn[0].axes[0].texts]
     assert heights(drawn[1]) == [-2.0, 0.5]
     assert drawn[1].axes[0].get_ylim()[0] < -3.0
 
 
 def sensitivity(policy: str = "trot", values: int = 5, episodes: int = 4, level: float = 3.0) -> Sensitivity:
-    """Test worlds of latency and mass, in which the robot falls at the upper end of each."""
+    """Return test worlds of latency and mass; the robot falls at the upper end of both."""
     worlds = [("control_latency", float(value)) for value in np.linspace(0.0, 0.04, values)]
     worlds += [("base_mass_ratio", float(value)) for value in np.linspace(0.8, 1.2, values)]
     along = np.tile(np.linspace(0.0, 1.0, values), 2)[:, None]
@@ -172,7 +172,7 @@ def test_parameter_figure_shades_the_trained_range(tmp_path: Path, drawn: list[F
     )
     (span,) = drawn[0].axes[0].patches
     assert (span.get_x(), span.get_width()) == (pytest.approx(0.01), pytest.approx(0.02))
-    # The nominal value is marked, and where the trot was trained.
+    # The nominal value and the trot's training value are marked.
     assert [line.get_xdata()[0] for line in drawn[0].axes[0].lines if len(line.get_xdata()) == 2] == [0.02, 0.02]
 
 
@@ -184,8 +184,8 @@ def test_aggregate_figure_shows_the_return_over_all_test_worlds(tmp_path: Path, 
     assert sorted(drawn[0].axes[0].lines[0].get_xdata()) == pytest.approx(sorted([3.0, 2.5, 2.0, 1.5, 1.0] * 2))
 
 
-def test_parameter_figure_refuses_a_parameter_that_was_not_varied(tmp_path: Path) -> None:
-    with pytest.raises(SurefootError, match="row 'voltage' is in no test world of trot"):
+def test_parameter_figure_rejects_a_parameter_that_was_not_varied(tmp_path: Path) -> None:
+    with pytest.raises(SurefootError, match="no test world of trot varies 'voltage'"):
         parameter_figure("voltage", {"trot": [sensitivity()]}, tmp_path / "a.png")
     assert list(tmp_path.iterdir()) == []
 
@@ -214,11 +214,13 @@ def test_group_figure_shows_intervals_and_seeds(
     widths = [bar.get_width() for bar in first.patches]
     assert widths == pytest.approx([study.interval(group, study.primary).mean for group in study.groups])
     dots = [line.get_xdata() for line in first.lines if line.get_marker() == "o"]
-    assert [list(values) for values in dots] == [list(study.of_group(group).nominal_return) for group in study.groups]
+    assert [list(values) for values in dots] == [
+        list(study.select_group(group).nominal_return) for group in study.groups
+    ]
 
 
 @pytest.mark.parametrize("steps", [1, 200])
-def test_side_by_side_leaves_out_unknown_places(
+def test_side_by_side_omits_unknown_positions(
     steps: int, make_run: MakeRun, tmp_path: Path, drawn: list[Figure]
 ) -> None:
     options = {"energy": 0.2 * steps, "steps": steps}
@@ -239,9 +241,9 @@ def test_mean_power_is_the_energy_of_the_last_half_second(make_run: MakeRun) -> 
     assert power[-1] == pytest.approx(60.0)
 
 
-def test_tracking_figure_places_errors_at_their_commands(tmp_path: Path, make_run: MakeRun, drawn: list[Figure]):
+def test_tracking_figure_draws_errors_at_their_commands(tmp_path: Path, make_run: MakeRun, drawn: list[Figure]):
     grid = [(x, 0.0, w) for w in (-0.5, 0.5) for x in (0.0, 0.5, 1.0)] + [(1.0, y, 0.0) for y in (-0.2, 0.2)]
-    # All go ahead at .5 m/s and never turn: 2 s, of which the first does not count.
+    # All move forward at 0.5 m/s without turning for 2 s; the first second is excluded.
     runs = [
         make_run(
             *(1.0, 1.0, 100, 0.02),
@@ -253,7 +255,7 @@ def test_tracking_figure_places_errors_at_their_commands(tmp_path: Path, make_ru
     assert tracking_figure(runs, tmp_path / "tracking.png").stat().st_size > 1000
     panels = [ax for ax in drawn[0].axes if ax.get_title(loc="left")]
     assert [ax.get_title(loc="left") for ax in panels] == 2 * [
-        f"error {name}" for name in ("forward", "to the left", "yaw rate")
+        f"error {name}" for name in ("forward", "lateral", "yaw rate")
     ]
     meshes = [np.ma.filled(ax.collections[0].get_array(), np.nan) for ax in panels]
     forward, left, turn = meshes[:3]
@@ -261,6 +263,6 @@ def test_tracking_figure_places_errors_at_their_commands(tmp_path: Path, make_ru
     np.testing.assert_allclose(left, np.zeros((2, 3)), atol=1e-9)
     np.testing.assert_allclose(turn, np.full((2, 3), 0.5), atol=1e-9)
     np.testing.assert_allclose(meshes[4], [[0.2], [0.2]], atol=1e-9)
-    assert [ax.get_ylabel().split(" (")[0] for ax in panels] == 3 * ["yaw rate"] + 3 * ["to the left"]
+    assert [ax.get_ylabel().split(" (")[0] for ax in panels] == 3 * ["yaw rate"] + 3 * ["lateral"]
     crosses = [tuple(np.concatenate(ax.lines[0].get_data()).tolist()) for ax in panels]
     assert crosses == 3 * [(1.0, 0.5)] + 3 * [()]

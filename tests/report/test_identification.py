@@ -1,4 +1,4 @@
-"""The report of an identification that was made by hand, with known numbers."""
+"""Report of a synthetic identification with known values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def prior(robot: RobotDescription) -> PhysicalParams:
 
 
 def identification(motors: bool = True) -> Identification:
-    """Estimates of a motor experiment; without `motors`, of one on the ground."""
+    """Return the result of a motor experiment or, without `motors`, of an experiment on the ground."""
     rng = np.random.default_rng(2)
     estimates = [
         ParameterEstimate("torque_constant", 0.0921, 0.0004, "N m/A"),
@@ -71,7 +71,7 @@ def identification(motors: bool = True) -> Identification:
 
 
 class Page(HTMLParser):
-    """Texts of the cells, and everything that a page would load."""
+    """Parser that collects the texts of table cells, and all resources that a page would load."""
 
     def __init__(self, text: str) -> None:
         super().__init__()
@@ -97,20 +97,20 @@ class Page(HTMLParser):
             self.rows[-1][-1] += data
 
 
-def test_report_writes_picture_and_page(robot: RobotDescription, prior: PhysicalParams, tmp_path: Path):
+def test_report_writes_figure_and_page(robot: RobotDescription, prior: PhysicalParams, tmp_path: Path):
     picture, html = write_report(identification(), robot, prior, tmp_path / "a" / "b", "runs/recording.npz")
     assert (picture.name, html.name) == ("report.png", "report.html")
     assert picture.read_bytes().startswith(PNG)
     text = html.read_text(encoding="utf-8")
     parsed = Page(text)
     assert parsed.open == []
-    # It holds its picture and loads nothing.
+    # The page contains its figure and loads nothing.
     (source,) = parsed.loads
     assert base64.b64decode(source.removeprefix("data:image/png;base64,")) == picture.read_bytes()
     assert not re.search(r"https?:|url\(|<script|<link", text)
 
 
-def test_page_has_all_numbers(robot: RobotDescription, prior: PhysicalParams):
+def test_page_contains_all_values(robot: RobotDescription, prior: PhysicalParams):
     text = page(identification(), robot, prior, PNG, "runs/recording.npz")
     rows: dict[str, list[str]] = {}
     for row in Page(text).rows:
@@ -125,19 +125,19 @@ def test_page_has_all_numbers(robot: RobotDescription, prior: PhysicalParams):
     assert rows["SHA-256"] == ["ab" * 32]
     assert rows["surefoot"] == [__version__]
     assert "back_right_2_motor never moves &amp; is &lt;unused&gt;" in text
-    assert "24 of 27 numbers are identifiable from the data." in text
+    assert "24 of 27 parameters are identifiable from the data." in text
 
 
 def test_page_has_no_empty_sections(robot: RobotDescription, prior: PhysicalParams, tmp_path: Path):
     bare = Identification("latency", "minitaur", (ParameterEstimate("servo_latency", 0.003, 1e-4, "s"),))
     text = page(bare, robot, prior, PNG)
-    assert re.findall("<h2>(.*?)</h2>", text) == ["Estimates", "Pictures", "Data"]
+    assert re.findall("<h2>(.*?)</h2>", text) == ["Estimates", "Figures", "Data"]
     for number_, parsed in enumerate((bare, identification(motors=False), Identification("mass", "minitaur", ()))):
         path = identification_figure(parsed, robot, prior, tmp_path / f"{number_}.png")
         assert path.read_bytes().startswith(PNG)
 
 
-def test_indices_have_names(robot: RobotDescription):
+def test_components_have_names(robot: RobotDescription):
     assert full_name("voltage", robot) == "voltage"
     assert full_name("motor_strength[0]", robot) == f"motor_strength {robot.motor_names[0].removesuffix('_motor')}"
     assert full_name("torque_gain[7]", robot) == f"torque_gain {robot.motor_names[7].removesuffix('_motor')}"
@@ -169,5 +169,5 @@ def test_prior_value_of_parameters(robot: RobotDescription, prior: PhysicalParam
         (1.2345e-8, 1e-9, "1.23e-08"),
     ],
 )
-def test_numbers_have_the_digits_of_their_interval(value: float, width: float, message: str):
+def test_numbers_are_rounded_according_to_their_interval(value: float, width: float, message: str):
     assert number(value, width) == message

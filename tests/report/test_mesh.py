@@ -1,4 +1,4 @@
-"""Triangles for pictures: round surfaces are smooth, edges stay sharp, nothing moves."""
+"""Meshes for rendering: round surfaces are smooth, edges stay sharp, and positions are unchanged."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from surefoot.report.drawing.mesh import Mesh, link_meshes, smooth
-from surefoot.robot.appearance import Appearance, VisualPart, shape_part
+from surefoot.robot.appearance import Appearance, VisualPart, triangulate_shape
 from surefoot.robot.urdf import Shape
 
 
 def part(kind: str, size: tuple[float, ...], link: str = "a", color: tuple[int, int, int] = (255, 0, 0)) -> VisualPart:
-    return shape_part(Shape(link, kind, size, np.eye(4), color))
+    return triangulate_shape(Shape(link, kind, size, np.eye(4), color))
 
 
 def test_a_box_has_three_normals_at_each_corner():
@@ -27,7 +27,7 @@ def test_a_box_has_three_normals_at_each_corner():
 def test_a_cylinder_is_smooth_around_and_sharp_at_its_ends():
     cylinder = part("cylinder", (0.5, 2.0))
     points, normals, _ = smooth(cylinder.vertices, cylinder.faces)
-    assert len(points) == 80  # 20 corners at each end, each for the side and for the end
+    assert len(points) == 80  # 20 corners at each end, duplicated for the side and the end face
     side = np.abs(normals[:, 2]) < 0.5
     np.testing.assert_allclose(normals[side], points[side] * [2.0, 2.0, 0.0], atol=1e-6)
     np.testing.assert_allclose(normals[~side], np.sign(points[~side]) * [0.0, 0.0, 1.0], atol=1e-6)
@@ -40,7 +40,7 @@ def test_two_triangles_are_smooth_up_to_forty_degrees():
         assert len(smooth(vertices, np.array([(0, 1, 2), (0, 3, 1)], np.int32))[0]) == points
 
 
-def test_a_triangle_without_area_has_no_part_in_normals():
+def test_a_degenerate_triangle_does_not_affect_normals():
     vertices = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0.5, 0, 0)], np.float32)
     points, normals, faces = smooth(vertices, np.array([(0, 1, 2), (0, 1, 3)], np.int32))
     np.testing.assert_allclose(normals[faces[0]], [[0, 0, 1]] * 3)
@@ -48,7 +48,7 @@ def test_a_triangle_without_area_has_no_part_in_normals():
     assert np.isfinite(normals).all()
 
 
-def test_parts_of_one_link_and_color_are_one_mesh():
+def test_parts_of_the_same_link_and_color_are_joined():
     looks = Appearance(
         (
             part("box", (1, 1, 1)),

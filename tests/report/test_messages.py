@@ -1,4 +1,4 @@
-"""Messages of tabs: what a page takes, and what is refused with one line."""
+"""Messages from tabs: keys that a page accepts, and messages that are rejected in one line."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from surefoot.report.pages.messages import DeployMessage, DriveMessage, TabMessa
 
 
 def given(message: TabMessage) -> dict[str, object]:
-    """Return the keys that a message has."""
+    """Return the keys in a message."""
     return {name: value for name, value in dataclasses.asdict(message).items() if value is not None}
 
 
@@ -26,7 +26,7 @@ def given(message: TabMessage) -> dict[str, object]:
         ('{"terrain": ["stairs", 0.1], "ghost": ""}', {"terrain": ("stairs", 0.1), "ghost": ""}),
     ],
 )
-def test_a_page_takes_its_own_keys(text: str, values: dict[str, object]):
+def test_a_page_accepts_its_own_keys(text: str, values: dict[str, object]):
     assert given(read_message(DriveMessage, text)) == values
 
 
@@ -40,30 +40,30 @@ def test_a_page_takes_its_own_keys(text: str, values: dict[str, object]):
         ('{"command": {}}', r"command is \{\}; it must be a list of 3 values, each a number"),
         (f'{{"command": [{"9" * 400}, 0, 0]}}', r"command is \[9+\.\.\.9+, 0, 0\]; it must be"),
         ('{"command": [1e999, 0, 0]}', r"command\[0\] is inf; it must be 1e\+15 or less"),
-        ('{"command": [NaN, 0, 0]}', "message is no JSON: NaN is not a number"),
+        ('{"command": [NaN, 0, 0]}', "message is not JSON: NaN is not a number"),
         ('{"push": [20000, 0, 0.1]}', r"push\[0\] is 20000; it must be 10000 or less"),
         ('{"pause": 1}', "pause is 1; it must be true or false"),
         ('{"restart": 1}', "restart is 1; it must be True"),
         ('{"pause": null}', r"message is \{'pause': None\}; it must be an object"),
-        ('{"policy": "a\\u0000b"}', "none of them NUL"),
+        ('{"policy": "a\\u0000b"}', "without NUL"),
         ('{"sett": 1}', r"sett is not a key; did you mean set\?"),
         ('{"\\u0000": 1}', r"'\\x00' is not a key"),
         ('{"stop": true}', "stop is not a key"),
         ("{}", r"message is \{\}; it must be an object"),
         ("3", "message is 3; it must be an object"),
         ("[" * 900 + "]" * 900, r"message is \[\[\[\[\.\.\.\]\]\]\]"),
-        ("[" * 99_999, "message is no JSON"),
-        ("9" * 5000, "message is no JSON"),
-        (b"\xff\xfe\x00", "message is no JSON"),
-        ("", "message is no JSON"),
+        ("[" * 99_999, "message is not JSON"),
+        ("9" * 5000, "message is not JSON"),
+        (b"\xff\xfe\x00", "message is not JSON"),
+        ("", "message is not JSON"),
     ],
 )
-def test_other_messages_are_refused_with_value_and_rule(text: str | bytes, error: str):
+def test_other_messages_are_rejected_with_value_and_rule(text: str | bytes, error: str):
     with pytest.raises(SurefootError, match=error):
         read_message(DriveMessage, text)
 
 
-def test_the_page_of_a_robot_takes_commands_and_two_buttons_alone():
+def test_the_page_of_a_robot_accepts_only_commands_and_two_buttons():
     assert read_message(DeployMessage, '{"stop": true}').stop
     assert read_message(DeployMessage, '{"damp": true}').damp
     with pytest.raises(SurefootError, match="stop is False"):

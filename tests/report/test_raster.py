@@ -1,4 +1,4 @@
-"""Triangles to pixels, light and ground, compared with what is worked out by hand."""
+"""Rasterization, light and ground, compared with values computed by hand."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ import pytest
 
 pytest.importorskip("numba")
 
-from surefoot.report.drawing.raster import Light, SurfaceArrays, light_share, paint_faces, paint_ground, rasterize
+from surefoot.report.drawing.raster import Light, SurfaceArrays, paint_faces, paint_ground, rasterize, sunlit_fraction
 
 
 def fill(points: list[tuple[float, float, float]], faces: list[tuple[int, int, int]]) -> tuple[np.ndarray, np.ndarray]:
-    """Return what is in front (6, 8) and how near it is."""
+    """Return the face in front (6, 8), and its proximity."""
     nearest, face_at = np.zeros((6, 8), np.float32), np.full((6, 8), -1, np.int32)
     rasterize(np.array(points, np.float32), np.array(faces, np.int32), nearest, face_at)
     return face_at, nearest
 
 
 def light(occluder: np.ndarray, shadow: float = 0.0, direction: tuple[float, float, float] = (0, 0, 1)) -> Light:
-    """Return a sun with places one apart, the first at the origin."""
+    """Return a sun whose grid has a spacing of 1 and starts at the origin."""
     occluder = np.asarray(occluder, np.float32)
     dark = np.full(occluder.shape, shadow, np.float32)
     return Light(np.array(direction, np.float32), occluder, dark, np.zeros(2, np.float32), 1.0)
 
 
-def test_a_triangle_covers_the_pixels_whose_centres_are_in_it():
+def test_a_triangle_covers_the_pixels_whose_centres_are_inside():
     for order in ((0, 1, 2), (2, 1, 0)):
         face_at, nearest = fill([(1.0, 1.0, 0.5), (5.0, 1.0, 0.5), (1.0, 5.1, 0.5)], [order])
         rows = ["".join("." if face < 0 else "#" for face in row) for row in face_at]
@@ -32,11 +32,11 @@ def test_a_triangle_covers_the_pixels_whose_centres_are_in_it():
         assert nearest[1, 1] == pytest.approx(0.5)
 
 
-def test_what_is_nearer_hides_the_rest_in_any_order():
+def test_nearer_faces_hide_others_in_any_order():
     points = [(0, 0, 0.2), (8, 0, 0.2), (0, 6, 0.2), (8, 6, 0.2), (0, 0, 0.1), (8, 0, 0.3), (0, 6, 0.1), (8, 6, 0.3)]
     flat, slanted = [(0, 1, 2), (1, 3, 2)], [(4, 5, 6), (5, 7, 6)]
     face_at, nearest = fill(points, flat + slanted)
-    # The slanted square is in front where 0.1 + 0.2 x / 8 > 0.2, which is in the right half.
+    # The slanted square is in front for 0.1 + 0.2 x / 8 > 0.2, in the right half.
     assert (face_at[:, :4] < 2).all()
     assert (face_at[:, 4:] >= 2).all()
     np.testing.assert_allclose(nearest[2], np.maximum(0.2, 0.1 + 0.2 * (np.arange(8) + 0.5) / 8), rtol=1e-5)
@@ -57,15 +57,15 @@ def test_faces_behind_the_camera_outside_or_without_area_draw_nothing():
     assert (nearest == 0.0).all()
 
 
-def test_light_is_taken_by_what_is_above_a_point():
+def test_light_is_blocked_by_objects_above_a_point():
     heights = np.zeros((8, 8))
     heights[:, 4:] = 0.5
     sun = light(heights)
-    assert light_share(sun, 2.0, 4.0, 0.1) == 1.0
-    assert light_share(sun, 6.0, 4.0, 0.1) == 0.0
-    assert light_share(sun, 6.0, 4.0, 0.6) == 1.0  # on top of it
-    assert light_share(sun, 4.0, 4.0, 0.1) == pytest.approx(0.5)  # at the edge
-    assert light_share(sun, 90.0, 4.0, 0.0) == 1.0
+    assert sunlit_fraction(sun, 2.0, 4.0, 0.1) == 1.0
+    assert sunlit_fraction(sun, 6.0, 4.0, 0.1) == 0.0
+    assert sunlit_fraction(sun, 6.0, 4.0, 0.6) == 1.0  # on top of it
+    assert sunlit_fraction(sun, 4.0, 4.0, 0.1) == pytest.approx(0.5)  # at the edge
+    assert sunlit_fraction(sun, 90.0, 4.0, 0.0) == 1.0
 
 
 def test_squares_of_the_ground_alternate_and_fade_to_their_mean():
@@ -80,7 +80,7 @@ def test_squares_of_the_ground_alternate_and_fade_to_their_mean():
     np.testing.assert_allclose(picture[1, :, 0], [dark, 200, dark, mean], atol=1.0)
 
 
-def test_shadow_darkens_the_ground_by_its_share():
+def test_shadow_darkens_the_ground_by_its_darkness():
     picture = np.zeros((1, 1, 3), np.uint8)
     ground = np.array([[[4.0, 4.0, 0.1, 0.1, 200.0, 200.0, 200.0, 0.0]]], np.float32)
     paint_ground(picture, ground, np.zeros(3, np.float32), 1.0, light(np.zeros((8, 8)), shadow=0.5), 0.72)
@@ -88,7 +88,7 @@ def test_shadow_darkens_the_ground_by_its_share():
 
 
 def painted(normal: tuple[float, float, float], occluder: float, behind: int = 200) -> np.ndarray:
-    """Return two pixels, a whole one and one half covered, of a grey surface seen from above, 1 m away."""
+    """Return two pixels, one fully and one half covered by a grey surface seen from above, 1 m away."""
     picture = np.full((1, 2, 3), behind, np.uint8)
     corners = np.array([(0, 0, 1), (30, 0, 1), (0, 30, 1)], np.float32)
     surface = SurfaceArrays(
@@ -101,7 +101,7 @@ def painted(normal: tuple[float, float, float], occluder: float, behind: int = 2
 
 
 def test_surfaces_are_lit_by_sky_and_sun_and_mixed_at_edges():
-    # Towards the sun: .34 + .16 + .72 of the color, and a reflection of .22; a slanted sky reflects nothing here.
+    # Towards the sun: 0.34 + 0.16 + 0.72 of the color, plus a reflection of 0.22; no reflection of the sky.
     whole, half = painted((0, 0, 1), occluder=0.0)
     assert whole == pytest.approx(255 * np.sqrt(0.25 * 1.22 + 0.22), abs=1.0)
     assert half == pytest.approx((whole + 200) / 2, abs=1.0)

@@ -1,4 +1,4 @@
-"""Data of the page of recorded runs: positions, angles and forces at an even rate; traces that it refuses."""
+"""Data of the page of recorded runs: positions, angles and forces at a constant rate; rejected traces."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from surefoot.evaluation.foot_forces import foot_forces
 from surefoot.report.pages.recorded_runs import MAX_TRACES, ShownTrace, recording_page
 from surefoot.robot import RobotDescription
 from surefoot.rotations import quat_matrix, rpy_quat
-from surefoot.task.trace import LOG, EpisodeTrace
+from surefoot.task.trace import IMPORTED_LOG, EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
 GO2 = RobotDescription.load("go2")
 
 
-def test_rows_are_the_trace_at_an_even_rate(make_run: MakeRun):
+def test_rows_are_the_trace_at_a_constant_rate(make_run: MakeRun):
     one = swinging(make_run, speed=0.5, seconds=2.0)
     (run,) = data_of(recording_page([one]))["runs"]
     columns, time = run["columns"], np.arange(101) / 50
     assert run["rows"] == 101
-    # Row 0 shows the end of the first control step, for there is none before.
+    # Row 0 shows the end of the first control step, because there is no earlier state.
     assert np.allclose(columns["pose"][1:, 0], 0.5 * time[1:], atol=1e-4)
     assert np.allclose(columns["pose"][:, 3:], [1.0, 0.0, 0.0, 0.0])
     swing = 0.2 * np.sin(2 * np.pi * time[1:])
@@ -51,7 +51,7 @@ def test_runs_begin_at_the_origin_and_head_along_x(make_run: MakeRun):
     assert np.allclose(np.abs(run["columns"]["pose"][-1, 3:] @ rpy_quat(0.1, -0.2, 0.0)), 1.0, atol=1e-6)
 
 
-def test_runs_on_terrain_stay_where_they_were_on_it(make_run: MakeRun):
+def test_runs_on_terrain_keep_their_position(make_run: MakeRun):
     place = {"base_position_world": np.tile([2.0, 0.5, 0.6], (201, 1))}
     rows = [swinging(make_run, arrays=place, terrain=name) for name in ("slope:20", "slope:20", "flat")]
     data = data_of(recording_page(rows))
@@ -66,7 +66,7 @@ def test_runs_on_terrain_stay_where_they_were_on_it(make_run: MakeRun):
         recording_page([swinging(make_run, terrain="lava:1")])
 
 
-def test_unmeasured_base_is_held_at_standing_height(make_run: MakeRun):
+def test_unmeasured_base_is_shown_at_standing_height(make_run: MakeRun):
     nothing = {"base_position_world": np.full((201, 3), np.nan), "base_quat_world": np.full((201, 4), np.nan)}
     rolled = {"roll_pitch_yaw": np.tile([0.1, -0.2, 3.0], (200, 1)), "foot_contact": np.full((200, 4), np.nan)}
     (run,) = data_of(recording_page([swinging(make_run, arrays=nothing | rolled)]))["runs"]
@@ -74,10 +74,10 @@ def test_unmeasured_base_is_held_at_standing_height(make_run: MakeRun):
     assert np.allclose(run["columns"]["pose"][:, 2], standing_height(GO2), atol=0.02)
     assert np.allclose(run["columns"]["pose"][:, 3:] @ rpy_quat(0.1, -0.2, 0.0), 1.0, atol=1e-6)
     assert not {"speed", "contact"} & set(run["columns"])
-    assert any("held at standing height" in note for note in run["notes"])
+    assert any("shown at standing height" in note for note in run["notes"])
 
 
-def test_base_is_interpolated_where_it_was_lost(make_run: MakeRun):
+def test_base_is_interpolated_across_gaps(make_run: MakeRun):
     one = swinging(make_run, speed=0.5)
     position = one.trace.base_position_world.copy()
     position[50:150] = np.nan
@@ -91,7 +91,7 @@ def test_base_is_interpolated_where_it_was_lost(make_run: MakeRun):
 def test_log_without_readings_shows_its_commands(make_run: MakeRun):
     missing = {name: np.full((200, 12), np.nan) for name in ("motor_angle", "motor_velocity", "motor_torque")}
     time = {"time": 1.6e9 + np.repeat(0.02 * np.arange(100), 2), "energy": np.full(200, np.nan)}
-    (run,) = data_of(recording_page([swinging(make_run, arrays=missing | time, world=LOG)]))["runs"]
+    (run,) = data_of(recording_page([swinging(make_run, arrays=missing | time, world=IMPORTED_LOG)]))["runs"]
     assert run["rows"] == 100
     assert np.allclose(
         run["columns"]["joint"][0], np.column_stack([*GO2.joint_angles(run["columns"]["target"][:1]).values()])
@@ -100,7 +100,7 @@ def test_log_without_readings_shows_its_commands(make_run: MakeRun):
     assert not {"torque", "force", "power"} & set(run["columns"])
 
 
-def test_forces_are_those_of_feet_on_the_ground(make_run: MakeRun):
+def test_forces_are_shown_only_for_feet_on_the_ground(make_run: MakeRun):
     one = swinging(make_run)
     hold = -np.einsum(
         "lij,lj->li",
@@ -115,8 +115,8 @@ def test_forces_are_those_of_feet_on_the_ground(make_run: MakeRun):
     trace = replace(one.trace, motor_torque=torque, push_force_world=push, base_quat_world=turned)
     (run,) = data_of(recording_page([replace(one, trace=trace)]))["runs"]
     expected = foot_forces(GO2, one.trace.motor_angle, torque).reshape(200, -1)
-    assert np.allclose(run["columns"]["force"][10], expected[19], atol=0.05)  # .2 s: on the ground
-    assert np.allclose(run["columns"]["force"][35], 0.0, atol=1e-3)  # .7 s: in the air
+    assert np.allclose(run["columns"]["force"][10], expected[19], atol=0.05)  # 0.2 s: on the ground
+    assert np.allclose(run["columns"]["force"][35], 0.0, atol=1e-3)  # 0.7 s: in the air
     assert np.allclose(run["columns"]["push"][[10, 90]], [[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]], atol=1e-2)
 
 
@@ -148,22 +148,22 @@ def test_texts_of_traces_can_not_end_the_script(make_run: MakeRun):
 @pytest.mark.parametrize(
     ("name", "arrays", "message"),
     [
-        ("go2", {"time": 1e300 * np.arange(1, 201)}, "3600 s are shown"),
-        ("go2", {"motor_angle": np.full((200, 12), 1e9)}, "nothing over"),
-        ("go2", {"base_position_world": np.linspace(0, 1e200, 603).reshape(201, 3)}, "nothing over"),
+        ("go2", {"time": 1e300 * np.arange(1, 201)}, "the maximum is 3600 s"),
+        ("go2", {"motor_angle": np.full((200, 12), 1e9)}, "the maximum is"),
+        ("go2", {"base_position_world": np.linspace(0, 1e200, 603).reshape(201, 3)}, "the maximum is"),
         ("minitaur", {"motor_angle": np.zeros((200, 8))}, "can't close its loop"),
     ],
 )
-def test_page_refuses_values_that_can_not_be_shown(
+def test_page_rejects_values_that_can_not_be_shown(
     make_run: MakeRun, name: str, arrays: dict[str, np.ndarray], message: str
 ):
     with pytest.raises(SurefootError, match=message):
         recording_page([swinging(make_run, name, arrays=arrays)])
 
 
-def test_page_refuses_another_robot_and_too_many_traces(make_run: MakeRun):
+def test_page_rejects_another_robot_and_too_many_traces(make_run: MakeRun):
     one = swinging(make_run)
-    with pytest.raises(SurefootError, match="is of robot 'go2'"):
+    with pytest.raises(SurefootError, match="was recorded on robot 'go2'"):
         ShownTrace("x", RobotDescription.load("solo8"), one.trace)
     for number in (0, MAX_TRACES + 1):
         with pytest.raises(SurefootError, match=f"{number} traces are given"):

@@ -1,4 +1,4 @@
-"""The scene: shapes out of the URDF, where MuJoCo's own kinematics has them."""
+"""Scene: poses of links from the URDF agree with MuJoCo's kinematics."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ FOOT = np.array([0.0, 0.0, 0.2315, 1.0])  # centre of the foot's sphere in the f
 LEVEL = [1.0, 0.0, 0.0, 0.0]
 
 
-def test_feet_are_where_the_leg_geometry_has_them():
-    """A foot's centre lies a radius short of the foot's end, on the line from the knee."""
+def test_feet_agree_with_the_leg_geometry():
+    """The centre of a foot is one radius before its end, on the line from the knee."""
     theta = ROBOT.pose_angles([[0.2, -0.3, 0.0, 0.4]], [[1.8, 2.1, 1.5, 1.2]])
     placed = poses(ROBOT, [[0.0, 0.0, 0.0]], [LEVEL], theta)
     bars = ROBOT.five_bar
@@ -44,7 +44,7 @@ def test_loops_are_closed():
         assert np.allclose(*ends, atol=1e-9)
 
 
-def test_all_bodies_are_where_mujoco_has_them():
+def test_all_bodies_agree_with_mujoco():
     mujoco = pytest.importorskip("mujoco")
     from surefoot.world.mujoco_model import build_model, resting_qpos
 
@@ -61,12 +61,12 @@ def test_all_bodies_are_where_mujoco_has_them():
         assert np.allclose(pose[:3, :3], data.xmat[body].reshape(3, 3), atol=1e-9)
 
 
-def test_positions_that_are_not_finite_are_refused():
+def test_positions_that_are_not_finite_are_rejected():
     with pytest.raises(SurefootError, match="base position is not known"):
         poses(ROBOT, [[np.nan, 0, 0]], [LEVEL], ROBOT.resting_angles[None])
 
 
-def test_a_loop_that_can_not_close_is_refused():
+def test_a_loop_that_can_not_close_is_rejected():
     short = replace(ROBOT, leg_geometry=replace(ROBOT.five_bar, lower=(0.09, 0.09)))
     with pytest.raises(SurefootError, match="leg front_left can't close its loop at step 1"):
         poses(short, np.zeros((2, 3)), [LEVEL] * 2, [np.full(8, 2.6), np.full(8, np.pi / 2)])
@@ -89,11 +89,11 @@ def trace() -> EpisodeTrace:
     return trace
 
 
-def test_poses_of_a_trace_have_the_feet_where_the_simulation_had_them(trace: EpisodeTrace):
+def test_feet_in_a_trace_agree_with_the_simulation(trace: EpisodeTrace):
     placed = trace_poses(ROBOT, trace)
     for k, leg in enumerate(ROBOT.legs):
         apart = (placed[leg.foot] @ FOOT)[:, :3] - trace.foot_position_world[:, k]
-        # The engine's own positions of geoms are those before its last millisecond.
+        # The engine's positions of geoms are from before its last millisecond.
         assert np.abs(apart).max() < 0.01
         assert np.abs(apart).mean() < 0.002
 
@@ -108,7 +108,7 @@ def test_the_lowest_foot_touches_the_ground(trace: EpisodeTrace):
     assert np.all(heights[30:][down] < 0.002)
 
 
-def test_poses_of_a_trace_without_true_angles_are_those_of_its_readings(trace: EpisodeTrace):
+def test_poses_of_a_trace_without_true_angles_use_its_readings(trace: EpisodeTrace):
     blind = replace(trace, true_motor_angle=np.empty(0))
     name = ROBOT.legs[0].foot
     expected = poses(ROBOT, trace.base_position_world[1:], trace.base_quat_world[1:], np.array(trace.motor_angle))
@@ -130,7 +130,7 @@ def test_the_viewer_places_every_link_by_its_pose(trace: EpisodeTrace):
         assert np.allclose(data.xmat[body].reshape(3, 3), placed[link][99, :3, :3], atol=1e-6)
 
 
-def test_the_viewer_shows_ground_that_is_not_flat():
+def test_the_viewer_shows_uneven_ground():
     mujoco = pytest.importorskip("mujoco")
     from surefoot.cli.helpers.viewer import build_stage
     from surefoot.world.terrain import make_terrain
@@ -145,7 +145,7 @@ def test_the_viewer_shows_ground_that_is_not_flat():
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())
-def test_a_robot_of_any_size_fills_the_picture(name: str) -> None:
+def test_a_robot_of_any_size_fills_the_image(name: str) -> None:
     robot = RobotDescription.load(name)
     camera = Camera.for_robot(extent(robot))
     if name == "minitaur":
@@ -160,7 +160,7 @@ def test_a_robot_of_any_size_fills_the_picture(name: str) -> None:
     assert (pixels < [view.width, view.height]).all()
 
 
-def test_the_viewer_leaves_out_what_mujoco_refuses():
+def test_the_viewer_skips_meshes_that_mujoco_rejects():
     pytest.importorskip("mujoco")
     from surefoot.cli.helpers.viewer import build_stage
 

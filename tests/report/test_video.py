@@ -1,4 +1,4 @@
-"""Video: a real MP4 comes out, decodes again and shows a robot that moves; what is near hides the rest."""
+"""Videos are valid MP4 files that show a moving robot; nearer objects hide farther ones."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytest.importorskip("numba")
 from surefoot.report.drawing.mesh import Mesh  # noqa: E402
 from surefoot.report.drawing.renderer import Camera, View, draw  # noqa: E402
 from surefoot.report.drawing.video import interpolate_poses, render_video  # noqa: E402
-from surefoot.robot.appearance import Appearance, shape_part  # noqa: E402
+from surefoot.robot.appearance import Appearance, triangulate_shape  # noqa: E402
 from surefoot.robot.urdf import Shape  # noqa: E402
 
 RED, GREEN, BLUE = (230, 30, 30), (30, 200, 30), (30, 30, 230)
@@ -28,14 +28,14 @@ SIZE = (320, 180)
 
 
 def pose(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> NDArray[np.float64]:
-    """Return a transform that only moves."""
+    """Return a pure translation."""
     transform = np.eye(4)
     transform[:3, 3] = x, y, z
     return transform
 
 
 def looks(shapes: Sequence[Shape]) -> Appearance:
-    return Appearance(tuple(map(shape_part, shapes)))
+    return Appearance(tuple(map(triangulate_shape, shapes)))
 
 
 def render_frame(
@@ -44,13 +44,13 @@ def render_frame(
     size: tuple[int, int] = SIZE,
     camera: Camera | None = None,
 ) -> Image.Image:
-    """Draw one picture from the camera, which looks at the first of the bodies."""
+    """Draw an image from the camera, which looks at the first body."""
     camera, stack = camera or Camera(), np.stack(list(poses.values()))
     return draw(Mesh(looks(shapes), list(poses)), stack, View(camera, stack[0, :2, 3], size))
 
 
 def colored(picture: object, color: tuple[int, int, int]) -> NDArray[np.bool_]:
-    """Return the mask (H, W) of pixels of a pure colour: its channel is far above the others."""
+    """Return the mask (H, W) of pixels with a pure colour, whose channel is far above the others."""
     pixels = np.asarray(picture, dtype=float)
     channel = int(np.argmax(color))
     others = np.delete(pixels, channel, axis=-1).max(axis=-1)
@@ -66,7 +66,7 @@ SHAPES = [
 
 @pytest.fixture
 def walker() -> dict[str, Any]:
-    """Return a film of a red base that runs forward with a green leg that swings, over one second."""
+    """Return a video of one second: a red base moves forward, and a green leg swings."""
     times = np.linspace(0.0, 1.0, 51)
     base = np.stack([pose(x=1.2 * t, z=0.2) for t in times])
     leg = np.stack([pose(x=1.2 * t + 0.25 * np.sin(6 * t), y=-0.1, z=0.12) for t in times])
@@ -75,7 +75,7 @@ def walker() -> dict[str, Any]:
 
 
 def decode(path: Path) -> tuple[dict, NDArray[np.uint8]]:
-    """Return what ffmpeg says of a file, and its frames (N, H, W, 3)."""
+    """Return ffmpeg's description of a file, and its frames (N, H, W, 3)."""
     reader = imageio_ffmpeg.read_frames(str(path))
     about = next(reader)
     width, height = about["size"]
@@ -101,7 +101,7 @@ def test_a_video_decodes_and_follows_the_base(walker, tmp_path: Path) -> None:
     assert frames[0].std() > 15  # not blank
 
 
-def test_a_name_may_have_a_colon(walker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_name_may_contain_a_colon(walker, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     render_video(path="slope:25.mp4", fps=10, **walker)
     assert [path.name for path in tmp_path.iterdir()] == ["slope:25.mp4"]
@@ -127,8 +127,8 @@ def test_nearer_shapes_cover_farther_ones() -> None:
         assert colored(picture, BLUE).sum() == 0
 
 
-def test_a_long_box_beside_a_small_one_is_ordered_by_planes_not_centres() -> None:
-    # The small box is in front of the far end of the long one, whose centre is nearer to the camera.
+def test_overlapping_boxes_are_ordered_by_depth_not_by_centres() -> None:
+    # The small box hides the far end of the long one, although the long one's centre is nearer to the camera.
     poses = {"long": pose(z=0.15), "small": pose(x=-0.9, y=-0.09, z=0.15)}
     shapes = [
         Shape("small", "box", (0.05, 0.03, 0.05), pose(), RED),
@@ -144,7 +144,7 @@ def test_a_long_box_beside_a_small_one_is_ordered_by_planes_not_centres() -> Non
 
 
 @pytest.mark.parametrize(("kind", "size"), [("box", (0.1, 0.1, 0.1)), ("cylinder", (0.1, 0.1)), ("sphere", (0.1,))])
-def test_solids_are_drawn_in_their_size(kind: str, size: tuple[float, ...]) -> None:
+def test_solids_are_drawn_with_the_right_size(kind: str, size: tuple[float, ...]) -> None:
     camera = Camera(offset=(0.0, -10.0, 0.0), height=0.5, field_of_view=4.0)  # nearly parallel rays
     picture = render_frame([Shape("b", kind, size, pose(), RED)], {"b": pose(z=0.5)}, size=(200, 200), camera=camera)
     rows, columns = np.nonzero(colored(picture, RED))
@@ -202,7 +202,7 @@ def test_a_box_behind_the_camera_is_not_drawn() -> None:
         ("/proc/x.mp4", r"^video /proc/x\.mp4: can't be written: No such file or directory$"),
     ],
 )
-def test_a_path_that_is_no_video_or_not_writable_is_refused(
+def test_a_path_that_is_not_a_video_or_not_writable_is_rejected(
     walker: dict[str, Any], path: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

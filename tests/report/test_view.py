@@ -1,4 +1,4 @@
-"""The port of viser's own server: what is no browser's does not fill the terminal."""
+"""Port of viser's server: invalid input does not flood the terminal."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ view.stop()
 GARBAGE = (b"\x00\xff" * 100, b"hello\r\n\r\n", b"GET / HTTP/9\r\n\r\n", b"", b"GET " + b"a" * 100_000, b"\x16\x03\x01")
 
 
-def test_garbage_to_the_port_of_the_view_is_one_line():
+def test_invalid_input_to_the_port_of_the_view_is_reported_once():
     process = subprocess.Popen([sys.executable, "-c", SERVER], stdin=-1, stdout=-1, stderr=-1, text=True)
     assert process.stdout is not None
     port = int(process.stdout.readline())
@@ -34,10 +34,10 @@ def test_garbage_to_the_port_of_the_view_is_one_line():
                     line.shutdown(socket.SHUT_WR)
                     while line.recv(1000):
                         pass
-                except OSError:  # it was refused
+                except OSError:  # it was rejected
                     pass
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 0
     assert errors.splitlines() == [
-        "surefoot: the port of the 3D view received what no browser sends; it is ignored, and so is any more of it"
+        "surefoot: the port of the 3D view received invalid input, not from a browser; it is ignored, also in future"
     ]

@@ -1,4 +1,4 @@
-"""What a robot looks like: triangles of primitive shapes, the file of looks, and files with one thing wrong."""
+"""Visual meshes of robots: triangulated primitive shapes, the file of visuals, and invalid files."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ import pytest
 from surefoot.errors import SurefootError
 from surefoot.npz import read_npz, write_npz
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import LOOKS, Appearance, VisualPart, visual_shapes
+from surefoot.robot.appearance import VISUALS_FILE, Appearance, VisualPart, visual_shapes
 from surefoot.robot.urdf import Link, Shape, Urdf
 
 SOLO = RobotDescription.load("solo8")
 
 
 def volume(part: VisualPart) -> float:
-    """Return the volume that a part's triangles enclose, negative if they are seen from inside."""
+    """Return the volume enclosed by a part's triangles, negative if they face inward."""
     a, b, c = np.moveaxis(part.vertices[part.faces].astype(float), 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
-def shape_part(kind: str, size: tuple[float, ...], place: tuple[float, float, float]) -> VisualPart:
+def triangulate_shape(kind: str, size: tuple[float, ...], place: tuple[float, float, float]) -> VisualPart:
     frame = np.eye(4)
     frame[:3, :3] = [[0, -1, 0], [1, 0, 0], [0, 0, 1]]
     frame[:3, 3] = place
@@ -46,20 +46,20 @@ def shape_part(kind: str, size: tuple[float, ...], place: tuple[float, float, fl
     ],
 )
 def test_a_shape_is_a_closed_surface_in_its_frame(kind: str, size: tuple[float, ...], exact: float, half: tuple):
-    part = shape_part(kind, size, (1.0, 2.0, 3.0))
+    part = triangulate_shape(kind, size, (1.0, 2.0, 3.0))
     assert part.color == (1.0, 0.2, 0.0)
     assert (part.vertices.dtype, part.faces.dtype) == (np.float32, np.int32)
-    # A polygon of 20 corners instead of a circle has 1.6 % less area; a sphere has flat ends too.
+    # A polygon with 20 corners has 1.6 % less area than its circle; a sphere also has flat ends.
     assert volume(part) == pytest.approx(exact, rel=1e-5 if kind == "box" else 0.06)
     np.testing.assert_allclose(part.vertices.max(axis=0) - [1, 2, 3], half, rtol=0.03)
-    # Each edge of a closed surface belongs to two triangles, which have it in opposite directions.
+    # Each edge of a closed surface belongs to two triangles, in opposite directions.
     edges = {tuple(edge) for face in part.faces.tolist() for edge in zip(face, face[1:] + face[:1], strict=True)}
     assert len(edges) == 3 * len(part.faces)
     assert {(b, a) for a, b in edges} == edges
 
 
-def test_a_robot_without_looks_has_the_parts_of_its_urdf():
-    robot = replace(RobotDescription.load("minitaur"), looks=None)
+def test_a_robot_without_visual_meshes_has_the_parts_of_its_urdf():
+    robot = replace(RobotDescription.load("minitaur"), visuals=None)
     visuals = [shape for link in robot.urdf.links.values() for shape in link.visuals]
     parts = robot.appearance().parts
     assert [part.link for part in parts] == [shape.link for shape in visuals]
@@ -81,13 +81,13 @@ def test_hips_without_visuals_are_cylinders_between_the_joints(name: str):
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())
-def test_looks_of_robots_that_ship_are_those_of_their_script(name: str, tmp_path: Path) -> None:
+def test_visuals_of_released_robots_match_their_script(name: str, tmp_path: Path) -> None:
     script = runpy.run_path(str(Path(__file__).parents[2] / "tools" / "visuals.py"))
     robot = RobotDescription.load(name)
-    script["appearance"](script["ROBOTS"][name]).save(tmp_path / LOOKS)
-    assert (tmp_path / LOOKS).read_bytes() == (robot.folder / LOOKS).read_bytes()
+    script["appearance"](script["ROBOTS"][name]).save(tmp_path / VISUALS_FILE)
+    assert (tmp_path / VISUALS_FILE).read_bytes() == (robot.folder / VISUALS_FILE).read_bytes()
     parts = robot.appearance().parts
-    # Feet reach the ground where the robot's sheet has them do so, to a millimetre.
+    # Visual feet end where the robot's foot spheres end, to a millimetre.
     frames = robot.link_frames(robot.resting_angles)
     for leg in robot.legs:
         points = np.concatenate([part.vertices for part in parts if part.link == leg.foot])
@@ -97,8 +97,8 @@ def test_looks_of_robots_that_ship_are_those_of_their_script(name: str, tmp_path
         assert lowest == pytest.approx(sole, abs=1e-3)
 
 
-def write_looks(folder: Path, change: Callable[[dict[str, Any], dict[str, Any]], None] | None = None) -> Path:
-    """Write a robot's folder with two parts, and change the arrays and meta of their file."""
+def write_visuals(folder: Path, change: Callable[[dict[str, Any], dict[str, Any]], None] | None = None) -> Path:
+    """Write a robot's folder with two visual parts, and modify the arrays and meta of the file."""
     shutil.copytree(SOLO.folder, folder)
     corners = np.array([(0, 0, 0), (0.3, 0, 0), (0, 0.2, 0), (0, 0, 0.1)], np.float32)
     faces = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)], np.int32)
@@ -106,27 +106,27 @@ def write_looks(folder: Path, change: Callable[[dict[str, Any], dict[str, Any]],
         VisualPart("base", corners, faces, (1.0, 0.5, 0.0)),
         VisualPart("front_left_upper", corners[:3] - np.float32(0.123456), faces[:1], (0.2, 0.2, 0.2)),
     )
-    Appearance(parts).save(folder / LOOKS)
+    Appearance(parts).save(folder / VISUALS_FILE)
     if change is not None:
-        arrays = read_npz(folder / LOOKS)
+        arrays = read_npz(folder / VISUALS_FILE)
         arrays.pop("meta")
         meta = {"links": [part.link for part in parts]}
         change(arrays, meta)
-        write_npz(folder / LOOKS, arrays, meta)
+        write_npz(folder / VISUALS_FILE, arrays, meta)
     return folder
 
 
-def test_saved_looks_come_back_to_a_65535th_of_their_size(tmp_path: Path) -> None:
-    folder = write_looks(tmp_path / "mine")
+def test_saved_visuals_are_read_back_with_16_bit_precision(tmp_path: Path) -> None:
+    folder = write_visuals(tmp_path / "mine")
     first, second = RobotDescription.load(folder).appearance().parts
     assert (first.link, second.link) == ("base", "front_left_upper")
     np.testing.assert_allclose(first.color, (1.0, 0.5, 0.0), atol=0.002)
     assert volume(first) == pytest.approx(0.3 * 0.2 * 0.1 / 6, rel=1e-5)
     np.testing.assert_allclose(second.vertices[1], [0.3 - 0.123456, -0.123456, -0.123456], atol=0.3 / 65535)
     np.testing.assert_array_equal(second.faces, [(0, 2, 1)])
-    before = (folder / LOOKS).read_bytes()
-    Appearance((first, second)).save(folder / LOOKS)
-    assert (folder / LOOKS).read_bytes() == before
+    before = (folder / VISUALS_FILE).read_bytes()
+    Appearance((first, second)).save(folder / VISUALS_FILE)
+    assert (folder / VISUALS_FILE).read_bytes() == before
 
 
 def setter(name: str, index: Any, value: Any) -> Callable[[dict[str, Any], dict[str, Any]], None]:
@@ -153,7 +153,7 @@ HOSTILE = {
     "counts over what is there": (setter("counts", (1, 0), 4), "does not sum to"),
     "counts that overflow": (setter("counts", slice(None), 0xFFFFFFFF), "does not sum to"),
     "an empty part": (setter("counts", slice(None), [(7, 5), (0, 0)]), "a part without"),
-    "a vertex of another part": (setter("faces", (4, 0), 3), "part 1 has a triangle of vertices that it does not"),
+    "a vertex of another part": (setter("faces", (4, 0), 3), "part 1 has a triangle with a vertex that does not exist"),
     "no number": (setter("low", (0, 0), np.nan), "not within 1000 m"),
     "too far": (setter("low", (0, 0), 1e4), "not within 1000 m"),
     "a negative span": (setter("span", (0, 0), -1), "a span is negative"),
@@ -169,28 +169,28 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("case", HOSTILE)
-def test_a_file_with_one_thing_wrong_is_refused(case: str, tmp_path: Path) -> None:
+def test_invalid_visuals_files_are_rejected(case: str, tmp_path: Path) -> None:
     change, message = HOSTILE[case]
-    robot = RobotDescription.load(write_looks(tmp_path / "mine", change))
-    with pytest.raises(SurefootError, match=f"looks.npz: .*{message}"):
+    robot = RobotDescription.load(write_visuals(tmp_path / "mine", change))
+    with pytest.raises(SurefootError, match=f"visuals.npz: .*{message}"):
         robot.appearance()
 
 
-@pytest.mark.parametrize("name", ["../looks.npz", "/etc/passwd", "", ".."])
-def test_looks_outside_the_robots_folder_are_refused(name: str, tmp_path: Path) -> None:
-    folder = write_looks(tmp_path / "mine")
+@pytest.mark.parametrize("name", ["../visuals.npz", "/etc/passwd", "", ".."])
+def test_visuals_outside_the_robots_folder_are_rejected(name: str, tmp_path: Path) -> None:
+    folder = write_visuals(tmp_path / "mine")
     sheet = folder / "robot.toml"
-    sheet.write_text(sheet.read_text().replace(f'"{LOOKS}"', f'"{name}"'))
-    with pytest.raises(SurefootError, match=r"looks is '.*'; it must be the name of a file in the robot's folder"):
+    sheet.write_text(sheet.read_text().replace(f'"{VISUALS_FILE}"', f'"{name}"'))
+    with pytest.raises(SurefootError, match=r"visuals is '.*'; it must be the name of a file in the robot's folder"):
         RobotDescription.load(folder)
 
 
-def test_cut_off_looks_and_missing_ones_are_refused(tmp_path: Path) -> None:
-    folder = write_looks(tmp_path / "mine")
+def test_truncated_and_missing_visuals_are_rejected(tmp_path: Path) -> None:
+    folder = write_visuals(tmp_path / "mine")
     robot = RobotDescription.load(folder)
-    (folder / LOOKS).write_bytes((folder / LOOKS).read_bytes()[:-40])
-    with pytest.raises(SurefootError, match=r"looks.npz: is cut off"):
+    (folder / VISUALS_FILE).write_bytes((folder / VISUALS_FILE).read_bytes()[:-40])
+    with pytest.raises(SurefootError, match=r"visuals.npz: is cut off"):
         robot.appearance()
-    (folder / LOOKS).unlink()
-    with pytest.raises(SurefootError, match=r"looks.npz: can't be read: No such file"):
+    (folder / VISUALS_FILE).unlink()
+    with pytest.raises(SurefootError, match=r"visuals.npz: can't be read: No such file"):
         robot.appearance()

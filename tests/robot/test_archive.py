@@ -1,4 +1,4 @@
-"""Robots carried as bytes: the same robot comes back, and nothing of a hostile archive is written."""
+"""Robot archives: round trips, and malicious archives, of which nothing is written."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def zipped(*members: tuple[str | zipfile.ZipInfo, bytes], kind: int = zipfile.ZI
     return buffer.getvalue()
 
 
-def test_a_robot_comes_back_with_its_tasks_and_ranges_and_the_same_bytes(mine: Path, cache: Path):
+def test_archive_round_trip_preserves_all_files(mine: Path, cache: Path):
     os.utime(mine / "robot.toml", (1, 1))
     data = pack_robot(mine)
     assert data == pack_robot(MINITAUR)
@@ -57,7 +57,7 @@ def test_a_robot_comes_back_with_its_tasks_and_ranges_and_the_same_bytes(mine: P
     assert RobotDescription.load(folder).name == "minitaur"
 
 
-def test_robots_that_ship_are_not_carried(mine: Path):
+def test_built_in_robots_are_not_archived(mine: Path):
     assert RobotDescription.load("minitaur").archive == b""
     assert RobotDescription.load(MINITAUR).location == "minitaur"
     own = RobotDescription.load(mine)
@@ -65,14 +65,26 @@ def test_robots_that_ship_are_not_carried(mine: Path):
     assert own.location == str(mine)
 
 
-def test_a_file_of_the_cache_that_was_edited_or_removed_is_written_again(mine: Path):
+def test_old_key_looks_loads_from_an_archive_and_is_rejected_in_a_folder(mine: Path):
+    sheet = mine / "robot.toml"
+    files = [(path.relative_to(mine).as_posix(), path.read_bytes()) for path in (mine / "minitaur.urdf",)]
+    old = sheet.read_text().replace('visuals = "visuals.npz"', 'looks = "looks.npz"')
+    visuals = ("looks.npz", (mine / "visuals.npz").read_bytes())
+    robot = RobotDescription.load(unpack_robot(zipped(("robot.toml", old.encode()), visuals, *files)))
+    assert len(robot.appearance().parts) == len(RobotDescription.load("minitaur").appearance().parts)
+    sheet.write_text(old)
+    with pytest.raises(SurefootError, match=r"robot.toml: looks is named visuals now; rename this key"):
+        RobotDescription.load(mine)
+
+
+def test_modified_or_missing_cache_files_are_restored(mine: Path):
     folder = unpack_robot(pack_robot(mine))
     (folder / "robot.toml").write_text("name = 'another'")
     (folder / "minitaur.urdf").unlink()
     assert RobotDescription.load(unpack_robot(pack_robot(mine))).name == "minitaur"
 
 
-def test_processes_that_unpack_at_once_all_read_the_whole_robot(mine: Path, tmp_path: Path):
+def test_concurrent_unpacking_gives_every_process_a_complete_robot(mine: Path, tmp_path: Path):
     file = tmp_path / "archive"
     file.write_bytes(pack_robot(mine))
     code = (
@@ -83,7 +95,7 @@ def test_processes_that_unpack_at_once_all_read_the_whole_robot(mine: Path, tmp_
     assert [process.communicate()[0] for process in running] == [b"minitaur\n"] * 4
 
 
-def test_without_a_cache_that_can_be_written_a_temporary_folder_serves(
+def test_unpacking_uses_a_temporary_folder_if_the_cache_is_not_writable(
     mine: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     (tmp_path / "cache").write_text("a file where the folder should be")
@@ -96,7 +108,7 @@ def test_a_cache_of_another_user_is_not_used(mine: Path, cache: Path, monkeypatc
     own = unpack_robot(pack_robot(mine))
     user = os.geteuid()
     monkeypatch.setattr(module.os, "geteuid", lambda: user + 1)
-    # The temporary folder is of the same user, so nothing can be written for this one.
+    # The temporary folder also belongs to the other user, so nothing can be written.
     with pytest.raises(SurefootError, match="temporary folder: can't be written"):
         unpack_robot(pack_robot(mine))
     assert stat.S_IMODE(own.stat().st_mode) == 0o700
@@ -114,22 +126,22 @@ LINK.external_attr = (stat.S_IFLNK | 0o777) << 16
         (b"PK\x03\x04 and no more", "damaged"),
         (pack_robot(MINITAUR)[:-40], "damaged"),
         (zipped(("other.urdf", b"")), "it has no robot.toml"),
-        (zipped(SHEET, ("../robot.urdf", b"")), "'../robot.urdf' is none of a robot's folder"),
-        (zipped(SHEET, ("/etc/robot.urdf", b"")), "is none of a robot's folder"),
-        (zipped(SHEET, ("tasks/../../robot.urdf", b"")), "is none of a robot's folder"),
-        (zipped(SHEET, ("tasks\\x.yaml", b"")), "is none of a robot's folder"),
-        (zipped(SHEET, (".hidden.toml", b"")), "is none of a robot's folder"),
-        (zipped(SHEET, ("a/b/c.yaml", b"")), "is none of a robot's folder"),
-        (zipped(SHEET, ("run.py", b"")), "is none of a robot's folder"),
-        (zipped(SHEET, ("tasks/", b"")), "is none of a robot's folder"),
+        (zipped(SHEET, ("../robot.urdf", b"")), "'../robot.urdf' does not belong to a robot's folder"),
+        (zipped(SHEET, ("/etc/robot.urdf", b"")), "does not belong to a robot's folder"),
+        (zipped(SHEET, ("tasks/../../robot.urdf", b"")), "does not belong to a robot's folder"),
+        (zipped(SHEET, ("tasks\\x.yaml", b"")), "does not belong to a robot's folder"),
+        (zipped(SHEET, (".hidden.toml", b"")), "does not belong to a robot's folder"),
+        (zipped(SHEET, ("a/b/c.yaml", b"")), "does not belong to a robot's folder"),
+        (zipped(SHEET, ("run.py", b"")), "does not belong to a robot's folder"),
+        (zipped(SHEET, ("tasks/", b"")), "does not belong to a robot's folder"),
         (zipped(SHEET, *((f"tasks/{k}.yaml", b"") for k in range(200))), "it has 201 files; at most 200"),
         (zipped(SHEET, ("bomb.urdf", bytes(9 << 20))), "over 8 MiB"),
-        (zipped(SHEET, ("robot.urdf", b"x"), kind=zipfile.ZIP_LZMA), "is packed in another way"),
+        (zipped(SHEET, ("robot.urdf", b"x"), kind=zipfile.ZIP_LZMA), "has an unsupported compression method"),
         (os.urandom(9 << 20), "over 8 MiB"),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_a_hostile_archive_is_refused_and_nothing_is_written(data: bytes, message: str, cache: Path):
+def test_malicious_archives_are_rejected_and_nothing_is_written(data: bytes, message: str, cache: Path):
     with pytest.raises(SurefootError, match="its robot") as error:
         unpack_robot(data)
     assert message in str(error.value)
@@ -137,7 +149,7 @@ def test_a_hostile_archive_is_refused_and_nothing_is_written(data: bytes, messag
     assert not cache.exists()
 
 
-def test_a_size_that_an_archive_understates_is_refused():
+def test_an_understated_archive_size_is_rejected():
     data = bytearray(zipped(SHEET, ("bomb.urdf", bytes(9 << 20))))
     place = data.rindex(b"PK\x01\x02") + 24
     data[place : place + 4] = (100).to_bytes(4, "little")
@@ -145,13 +157,13 @@ def test_a_size_that_an_archive_understates_is_refused():
         read_archive(bytes(data))
 
 
-def test_a_link_becomes_a_plain_file(cache: Path):
+def test_a_link_in_an_archive_becomes_a_plain_file(cache: Path):
     folder = unpack_robot(zipped(SHEET, (LINK, b"/etc/passwd")))
     assert not (folder / "link.urdf").is_symlink()
     assert (folder / "link.urdf").read_bytes() == b"/etc/passwd"
 
 
-def test_a_sheet_that_names_a_file_elsewhere_is_refused(mine: Path):
+def test_a_data_sheet_that_names_a_file_outside_the_folder_is_rejected(mine: Path):
     sheet = (mine / "robot.toml").read_text()
     for name in ("../minitaur.urdf", "/etc/passwd"):
         (mine / "robot.toml").write_text(sheet.replace('"minitaur.urdf"', f'"{name}"'))
@@ -160,7 +172,7 @@ def test_a_sheet_that_names_a_file_elsewhere_is_refused(mine: Path):
 
 
 def secret(tmp_path: Path) -> Path:
-    """Return a file outside of the robot's folder, which nobody meant to give away."""
+    """Return a private file outside of the robot's folder."""
     folder = tmp_path / "private"
     folder.mkdir(exist_ok=True)
     (folder / "notes.csv").write_text("a secret")
@@ -211,10 +223,10 @@ LEAKS = [
 
 
 @pytest.mark.parametrize("leak", LEAKS, ids=lambda leak: leak.__name__)
-def test_a_link_that_leaves_the_folder_is_not_followed(leak, mine: Path, tmp_path: Path):
+def test_links_out_of_the_folder_are_not_followed(leak, mine: Path, tmp_path: Path):
     leak(mine, secret(tmp_path))
     for archive in (pack_robot, lambda folder: copy_robot(folder, tmp_path / "copy")):
-        with pytest.raises(SurefootError, match=r"leads out of the robot's folder, to /.*; a policy carries") as error:
+        with pytest.raises(SurefootError, match=r"leads out of the robot's folder, to /.*; a policy embeds") as error:
             archive(mine)
         assert "\n" not in str(error.value)
         assert not (tmp_path / "copy").exists()
@@ -232,7 +244,7 @@ def test_links_within_the_folder_are_followed(mine: Path, tmp_path: Path):
         assert files["tasks/two.yaml"] == files["ranges/back.yaml"] == b"name: one"
 
 
-def test_links_in_a_circle_are_refused(mine: Path):
+def test_cyclic_links_are_rejected(mine: Path):
     (mine / "tasks").mkdir(exist_ok=True)
     (mine / "tasks" / "a.yaml").symlink_to("b.yaml")
     (mine / "tasks" / "b.yaml").symlink_to("a.yaml")
@@ -241,7 +253,7 @@ def test_links_in_a_circle_are_refused(mine: Path):
 
 
 @pytest.mark.timeout(20)
-def test_pipes_and_devices_are_refused_and_never_opened(mine: Path):
+def test_pipes_and_devices_are_rejected_without_opening(mine: Path):
     (mine / "tasks").mkdir(exist_ok=True)
     os.mkfifo(mine / "tasks" / "pipe.csv")
     with pytest.raises(SurefootError, match=r"pipe\.csv: can't be read: not a regular file"):

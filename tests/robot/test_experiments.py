@@ -1,4 +1,4 @@
-"""How far experiments move a robot: the sheet's numbers, and usual ones where it is silent."""
+"""Amplitudes of experiments: the data sheet's numbers and their defaults."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from surefoot.robot.experiments import read_experiments
 MINITAUR = RobotDescription.load("minitaur")
 
 
-def test_usual_numbers_are_near_those_of_the_minitaurs_sheet() -> None:
+def test_defaults_are_close_to_the_minitaurs_data_sheet() -> None:
     usual = read_experiments({}, MINITAUR.leg_space["extension"], MINITAUR.actuator)
     for name, value in vars(MINITAUR.experiments).items():
         assert getattr(usual, name) == pytest.approx(value, rel=0.02), name
-    # 2.45 N m are at 30 A, 30 * .186 / 16 of the duty, which a gain of 1 duty/rad asks for at that many rad.
+    # 2.45 N m need 30 A, which is a duty of 30 * 0.186 / 16; a gain of 1 duty/rad commands it at as many rad.
     assert usual.step == pytest.approx(30 * 0.186 / 16)
-    assert usual.part("step", 0.5) == 0.174
+    assert usual.fraction("step", 0.5) == 0.174
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())
@@ -37,6 +37,6 @@ def test_experiments_of_every_robot_stay_within_its_leg_space(name: str) -> None
         ({"jump": 1}, "is not a key"),
     ],
 )
-def test_invalid_experiments_are_refused(table: dict[str, float], message: str) -> None:
+def test_invalid_experiments_are_rejected(table: dict[str, float], message: str) -> None:
     with pytest.raises(SurefootError, match=message):
         read_experiments(table, (0.6, 2.7), MINITAUR.actuator)

@@ -1,4 +1,4 @@
-"""Descriptions that crash a parser, fill the memory or never end: one line within limits, and nothing is written."""
+"""Malicious descriptions that crash a parser, fill memory or never end: one error line within limits, no files."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ import pytest
 from surefoot.cli.main import main
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.importing import confined, reader
-from surefoot.robot.importing.confined import decode, encode, read_robot
-from surefoot.robot.importing.copies import check_copies
+from surefoot.robot.importing import isolated_reader, reader
+from surefoot.robot.importing.copy_limits import check_copies
+from surefoot.robot.importing.isolated_reader import decode, encode, read_robot
 from surefoot.sandbox import Limits
 from surefoot.world import urdf_probe
 from surefoot.world.mujoco_model import build_model
 
 pytestmark = pytest.mark.slow
 
-QUICK = Limits(memory=1 << 30, time=3.0, patience=60.0)
+QUICK = Limits(memory=1 << 30, time=3.0, timeout=60.0)
 BODY = '<body><freejoint/><geom size=".1"/></body>'
 WORLD = f"<worldbody>{BODY}</worldbody>"
 
@@ -62,11 +62,11 @@ LIMITED = {
         '<worldbody><geom type="hfield" hfield="h"/></worldbody></mujoco>'
     ),
 }
-"""Models that MuJoCo expands until memory or time is used up."""
+"""Models that MuJoCo expands until memory or time is exhausted."""
 
 
 @pytest.mark.parametrize("text", LIMITED.values(), ids=LIMITED)
-def test_a_model_that_expands_ends_within_limits(text: str, tmp_path: Path):
+def test_expanding_models_end_within_limits(text: str, tmp_path: Path):
     path = tmp_path / "dog.xml"
     path.write_text(text)
     start = time.monotonic()
@@ -75,10 +75,10 @@ def test_a_model_that_expands_ends_within_limits(text: str, tmp_path: Path):
     ) as error:
         read_robot(path, limits=QUICK)
     assert "\n" not in str(error.value)
-    assert time.monotonic() - start < 30  # most of it is the start of Python on a busy computer
+    assert time.monotonic() - start < 30  # mostly the start of Python on a busy computer
 
 
-def test_attachments_that_double_end_within_limits(tmp_path: Path):
+def test_doubling_attachments_end_within_limits(tmp_path: Path):
     for level in range(15):
         (tmp_path / f"{level}.xml").write_text(attach(f"{level + 1}.xml", 3))
     (tmp_path / "15.xml").write_text(f"<mujoco>{WORLD}</mujoco>")
@@ -93,7 +93,10 @@ COPIES = {
         "count of <flexcomp> is 1000000000;",
     ),
     "replicate": (nested_replicates(1).replace("100", "1001"), "count of <replicate> is 1001;"),
-    "nested replicates": (nested_replicates(12), "count of <replicate> is 100, and 10000 with those around it;"),
+    "nested replicates": (
+        nested_replicates(12),
+        "count of <replicate> is 100, or 10000 with its enclosing replicates;",
+    ),
     "no number around": (
         '<mujoco><replicate count="nan"><replicate count="1001"/></replicate></mujoco>',
         "count of <replicate> is 1001;",
@@ -103,10 +106,8 @@ COPIES = {
 
 
 @pytest.mark.parametrize(("text", "message"), COPIES.values(), ids=COPIES)
-def test_copies_are_counted_before_a_parser_makes_them(
-    text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-):
-    monkeypatch.setattr(confined.sandbox, "run_module", None)
+def test_copies_are_counted_before_parsing(text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(isolated_reader.sandbox, "run_module", None)
     (tmp_path / "dog.xml").write_text(text)
     (tmp_path / "copies.xml").write_text('<mujoco><size nkey=" 1e30 "/></mujoco>')
     with pytest.raises(SurefootError, match=rf"dog\.xml: .*{re.escape(message)} it must be 1000 or less"):
@@ -122,12 +123,12 @@ def test_copies_are_counted_before_a_parser_makes_them(
         '<mujoco><replicate count="100"/><replicate count="100"/></mujoco>',
     ],
 )
-def test_few_copies_and_what_is_no_number_are_left_to_the_parser(text: str):
+def test_small_counts_and_non_numbers_are_left_to_the_parser(text: str):
     check_copies(ElementTree.fromstring(text), Path("dog.xml"))
 
 
 @pytest.mark.timeout(30)
-def test_many_names_and_folders_are_refused_before_all_places_are_looked_at(tmp_path: Path):
+def test_too_many_names_and_folders_are_rejected_before_the_search(tmp_path: Path):
     folders = "".join(f'<compiler meshdir="d{k}"/>' for k in range(4000))
     files = "".join(f'<mesh name="{k}" file="{k}"/>' for k in range(4000))
     (tmp_path / "dog.xml").write_text(f"<mujoco>{folders}<asset>{files}</asset></mujoco>")
@@ -144,7 +145,7 @@ REFUSED = {
     "large attachment": (attach("large.xml"), r"large\.xml.*at most 262144 are read"),
     "many includes": (
         f"<mujoco>{''.join(f'<include file={chr(34)}part{k}.xml{chr(34)}/>' for k in range(5))}</mujoco>",
-        "includes and attaches files that are too large: at most 256 KiB in all",
+        "includes and attaches files that are too large: at most 256 KiB in total",
     ),
     "include of a pipe": (
         '<mujoco><include file="pipe"/></mujoco>',
@@ -169,7 +170,7 @@ REFUSED = {
 
 @pytest.mark.timeout(30)
 @pytest.mark.parametrize(("text", "message"), REFUSED.values(), ids=REFUSED)
-def test_files_that_a_model_names_are_refused_before_a_parser_opens_them(text: str, message: str, tmp_path: Path):
+def test_unsafe_referenced_files_are_rejected_before_parsing(text: str, message: str, tmp_path: Path):
     (tmp_path / "dog.xml").write_text(text)
     (tmp_path / "large.xml").write_text(LARGE)
     (tmp_path / "circle.xml").write_text(attach("back.xml"))
@@ -188,7 +189,7 @@ def test_files_that_a_model_names_are_refused_before_a_parser_opens_them(text: s
 
 
 @pytest.mark.timeout(30)
-def test_a_pipe_is_no_description(tmp_path: Path):
+def test_a_pipe_is_rejected_as_description(tmp_path: Path):
     os.mkfifo(tmp_path / "dog.urdf")
     with pytest.raises(SurefootError, match=r"dog\.urdf: can't be read: not a regular file"):
         read_robot(tmp_path / "dog.urdf")
@@ -213,13 +214,13 @@ def chained_urdf(count: int) -> str:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        (nested_urdf(), "has over 200 elements in each other"),
+        (nested_urdf(), "nests over 200 elements"),
         (chained_urdf(400), "has a chain of 40. joints; robot new reads quadrupeds"),
         (chained_urdf(1060), "depth limit exceeded|has a chain of"),
     ],
     ids=["elements", "chain of joints", "long chain of joints"],
 )
-def test_a_deep_urdf_is_refused_in_one_line(
+def test_a_deeply_nested_urdf_is_rejected_in_one_line(
     text: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.chdir(tmp_path)
@@ -245,12 +246,12 @@ def test_ctrl_c_ends_a_compilation(tmp_path: Path):
     assert (process.returncode, errors) == (130, "surefoot: interrupted\n")
     assert child
     while Path(f"/proc/{child[0]}").exists() and time.monotonic() < deadline:
-        time.sleep(0.02)  # until its new parent has taken note of its end
+        time.sleep(0.02)  # until its new parent has reaped it
     assert not Path(f"/proc/{child[0]}").exists()
 
 
 @pytest.mark.parametrize("name", ["go2", "pupper_v2", "solo8"])
-def test_the_process_gives_the_robot_that_the_reader_gives(name: str):
+def test_the_isolated_reader_returns_the_same_robot(name: str):
     path = RobotDescription.load(name).urdf.path
     expected = reader.read_robot(path)
     for robot in (decode(encode(expected), path), read_robot(path)):
@@ -271,7 +272,7 @@ def test_the_process_gives_the_robot_that_the_reader_gives(name: str):
 
 
 def own_robot(folder: Path, text: str) -> RobotDescription:
-    """Return a robot whose URDF has another text in it, as a stranger may write it."""
+    """Return a robot with a modified URDF, as a third party may write it."""
     from shutil import copytree
 
     copytree(RobotDescription.load("solo8").folder, folder)
@@ -280,7 +281,7 @@ def own_robot(folder: Path, text: str) -> RobotDescription:
     return RobotDescription.load(folder)
 
 
-def test_a_robots_urdf_that_surefoot_did_not_write_is_tried_within_limits(tmp_path: Path):
+def test_a_third_party_urdf_is_probed_within_limits(tmp_path: Path):
     robot = own_robot(tmp_path / "dog", '<mujoco><size nuser_geom="2000000000"/></mujoco>')
     with pytest.raises(SurefootError, match=r"solo8\.urdf: MuJoCo can't compile it within 1 GiB and 3 s") as error:
         urdf_probe.check_urdf(robot.urdf.path, QUICK)
@@ -289,7 +290,7 @@ def test_a_robots_urdf_that_surefoot_did_not_write_is_tried_within_limits(tmp_pa
         build_model(robot)
 
 
-def test_robots_that_ship_need_no_trial_and_others_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_only_robots_that_are_not_built_in_are_probed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     tried = []
     run = urdf_probe.sandbox.run_module
     monkeypatch.setattr(urdf_probe.sandbox, "run_module", lambda *words: tried.append(words) or run(*words))

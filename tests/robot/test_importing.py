@@ -1,4 +1,4 @@
-"""Import of URDF and MJCF: the robot that is read, the folder that is written, and files that are refused."""
+"""Import of URDF and MJCF: the robot that is read, the folder that is written, and rejected files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LINK = """<inertial pos="0 0 -.1" mass=".5" diaginertia=".002 .002 .0005"/>"""
 
 
 def leg(name: str, x: float, y: float, axes: tuple[str, str, str] = ("1 0 0", "0 1 0", "0 1 0"), foot: str = "") -> str:
-    """A leg of an MJCF: upper and lower links of .2 m, .06 m out from the abduction axis."""
+    """A leg of an MJCF: upper and lower links of 0.2 m, 0.06 m out from the abduction axis."""
     out = 0.06 * np.sign(y)
     foot = foot or '<geom type="sphere" size=".02" pos="0 0 -.2"/>'
     return f"""
@@ -68,7 +68,7 @@ def test_the_reader_returns_the_files_values(tmp_path: Path) -> None:
     toe = '<body name="FL_toe" pos="0 0 -.2"/>'
     text = mjcf().replace('<geom type="sphere" size=".02" pos="0 0 -.2"/>', toe, 1)
     notes = read_robot(write(tmp_path, text)).notes
-    assert any(note.startswith("feet of FL_knee: a link named so") for note in notes)
+    assert any(note.startswith("feet of FL_knee: a link with the name of a foot") for note in notes)
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_the_reader_returns_the_files_values(tmp_path: Path) -> None:
         ("dog_description/urdf/cat.urdf", "plane", "cat"),
     ],
 )
-def test_a_robot_is_named_by_what_says_most(path: str, inside: str, name: str) -> None:
+def test_robot_name_is_the_most_specific_name(path: str, inside: str, name: str) -> None:
     assert robot_name(Path(path), inside) == name
 
 
@@ -101,7 +101,7 @@ def test_a_written_folder_loads_and_keeps_masses_and_kinematics(tmp_path: Path) 
         imported.feet,
         atol=1e-9,
     )
-    # Inertias about the whole robot's centre of mass are those of the file.
+    # The inertia about the robot's centre of mass equals the file's.
     whole = []
     for model in (mujoco.MjModel.from_xml_string(mjcf()), build_model(robot)):
         assert model.body_subtreemass[0] == pytest.approx(imported.mass, abs=1e-4)
@@ -112,7 +112,7 @@ def test_a_written_folder_loads_and_keeps_masses_and_kinematics(tmp_path: Path) 
         mujoco.mj_fullM(model, data, inertia)
         whole.append(inertia[:6, :6])
     np.testing.assert_allclose(*whole, atol=2e-5)
-    with pytest.raises(SurefootError, match="holds a robot"):
+    with pytest.raises(SurefootError, match="already has a robot"):
         write_robot(imported, tmp_path / "dog", "dog")
 
 
@@ -133,8 +133,8 @@ def test_closed_forms_agree_with_mujoco_over_the_whole_range(name: str) -> None:
         np.testing.assert_allclose(data.geom_xpos[feet], expected[k], atol=1e-9)
 
 
-def test_a_robot_that_faces_elsewhere_is_turned(tmp_path: Path) -> None:
-    # A free base is put at the origin: the turn is in the places and axes of the legs.
+def test_a_robot_with_another_forward_axis_is_rotated(tmp_path: Path) -> None:
+    # A free base is moved to the origin, so the rotation is in the positions and axes of the legs.
     body = "".join(
         leg(name, 0.08 * y, -0.2 * x, axes=("0 1 0", "1 0 0", "1 0 0")).replace(
             f"0 {0.06 * np.sign(-x)} 0", f"{0.06 * y} 0 0"
@@ -144,11 +144,11 @@ def test_a_robot_that_faces_elsewhere_is_turned(tmp_path: Path) -> None:
     imported = read_robot(write(tmp_path, mjcf(body)))
     assert imported.forward == "-y"
     np.testing.assert_allclose(imported.feet[0], [0.2, 0.14, -0.4], atol=1e-9)
-    # The file's x axis is the robot's left: knees turned about it as about +y.
+    # The file's x axis points to the robot's left, so knee axes along it become +y.
     np.testing.assert_allclose(imported.axes[0, 1], [0, 1, 0])
 
 
-def test_axes_that_point_the_other_way_are_kept_in_the_signs(tmp_path: Path) -> None:
+def test_opposite_axes_become_signs(tmp_path: Path) -> None:
     body = "".join(
         leg(name, 0.2 * x, 0.08 * y, axes=("1 0 0", f"0 {y} 0", f"0 {y} 0")) for name, (x, y) in CORNERS.items()
     ).replace('axis="0 -1 0" range="-2.6 -.5"', 'axis="0 -1 0" range=".5 2.6"')
@@ -162,11 +162,11 @@ def test_axes_that_point_the_other_way_are_kept_in_the_signs(tmp_path: Path) -> 
     np.testing.assert_allclose(places, np.tile(places[:1], (4, 1)), atol=1e-12)
 
 
-def test_a_meshless_urdf_with_two_motors_a_leg(tmp_path: Path) -> None:
+def test_a_urdf_without_meshes_and_with_two_motors_per_leg(tmp_path: Path) -> None:
     robot = SHIPPED["solo8"]
     imported = read_robot(robot.urdf.path)
     assert [len(leg) for leg in imported.joints] == [2] * 4
-    # Its joints have the names of ANYmal's and Solo's, and no limits.
+    # Its joints are named as in ANYmal and Solo, and have no limits.
     assert imported.guess_knees()[::2] == ("inward", True)
 
 
@@ -175,7 +175,7 @@ FREE = mjcf().replace(' range="-2.6 -.5"', "")
 
 
 def write_srdf(path: Path, **states: Sequence[float]) -> None:
-    """Write an SRDF with the knees' angles in the order FL, FR, RL, RR for each state."""
+    """Write an SRDF with knee angles in the order FL, FR, RL, RR for each state."""
     groups = "".join(
         f'<group_state name="{state}">'
         + "".join(f'<joint name="{leg}_knee" value="{angle}"/>' for leg, angle in zip(CORNERS, angles, strict=True))
@@ -186,9 +186,9 @@ def write_srdf(path: Path, **states: Sequence[float]) -> None:
     path.write_text(f'<robot name="dog">{groups}</robot>')
 
 
-def test_without_limits_a_pose_of_the_file_shows_where_knees_point(tmp_path: Path) -> None:
+def test_a_named_pose_shows_the_knee_direction_without_limits(tmp_path: Path) -> None:
     assert read_robot(write(tmp_path, FREE)).guess_knees()[::2] == ("backward", True)
-    # Straight legs show nothing, nor does a keyframe of another model.
+    # Straight legs do not show the knee direction, and a keyframe of another model is ignored.
     legs_at = {"zero": (0, 0), "home": (-1.2, 1.2)}
     keys = "".join(
         f'<key name="{name}" qpos="0 0 .3 1 0 0 0 {f"0 .6 {front} " * 2} {f"0 -.6 {back} " * 2}"/>'
@@ -198,13 +198,13 @@ def test_without_limits_a_pose_of_the_file_shows_where_knees_point(tmp_path: Pat
     assert read_robot(write(tmp_path, text)).guess_knees() == ("inward", "keyframe 'home'", False)
 
 
-def test_states_of_an_srdf_near_the_file_show_it_too_those_that_stand_first(tmp_path: Path) -> None:
+def test_srdf_states_show_the_knee_direction_standing_states_first(tmp_path: Path) -> None:
     write_srdf(tmp_path / "srdf/dog.srdf", folded=[-1, -1, -1, -1], straight_standing=[0] * 4, standing=[1, 1, -1, -1])
     path = tmp_path / "robots"
     path.mkdir()
     imported = read_robot(write(path, FREE))
     assert imported.guess_knees() == ("outward", "state 'standing' of dog.srdf", False)
-    # Limits go first; a file that can't be read is none.
+    # Limits take precedence; an unreadable file is ignored.
     assert read_robot(write(path, mjcf())).guess_knees() == ("backward", "the knees' limits", False)
     (tmp_path / "srdf/dog.srdf").write_text("<robot")
     assert read_robot(write(path, FREE)).guess_knees()[2]
@@ -229,7 +229,7 @@ BAD = [
     ("dog.urdf", urdf(link("a", mass="") + link("b", mass="")), "no link has an <inertial> with a mass"),
     ("dog.urdf", BOMB, "declares XML entities"),
     ("dog.urdf", "<robot", "is not well-formed XML in line 1, column 1: unclosed token"),
-    ("dog.urdf", urdf(link("a")), "is an object or a scene: nothing in it turns on a hinge"),
+    ("dog.urdf", urdf(link("a")), "is an object or a scene without hinge joints"),
     ("dog.urdf", "", "is empty"),
     ("dog.urdf", "\x7fELF\0\0", "is a binary file"),
     ("trunk.stl", "solid", "is a mesh; give the URDF or MJCF that names it"),
@@ -249,50 +249,50 @@ BAD = [
         ),
         "'b' moves and has no mass or no inertia; state both in its <inertial>",
     ),
-    ("dog.xml", mjcf(legs(("FL",))), "is an arm or another single chain: 3 joints hang from 'trunk'"),
-    ("dog.xml", mjcf(legs(("FL", "FR"))), "is a biped, humanoid or other robot: from 'trunk' hang 2 chains of 3, 3"),
+    ("dog.xml", mjcf(legs(("FL",))), "is an arm or another single chain: 'trunk' has one chain of 3 joints"),
+    ("dog.xml", mjcf(legs(("FL", "FR"))), "is a biped, humanoid or other robot: 'trunk' has 2 chains of 3, 3"),
     (
         "dog.xml",
         mjcf().split("</worldbody>")[0] + mjcf().split("<worldbody>")[1].replace('name="', 'name="other_'),
-        "holds 2 robots: trunk, other_trunk; give a file with one",
+        "contains 2 robots: trunk, other_trunk; give a file with one",
     ),
     (
         "dog.xml",
         mjcf("".join(leg(f"{n}{k}", 0.2 * x, 0.08 * y) for n, (x, y) in CORNERS.items() for k in (1, 2))).replace(
             'axis="1 0 0" range="-1 1"', 'axis="1 0 0"'
         ),
-        "has 8 legs: from 'trunk' hang 8 chains",
+        "has 8 legs: 'trunk' has 8 chains",
     ),
     ("dog.urdf", urdf(link("a", mass="heavy")), "link 'a': mass is 'heavy'; it must be a finite number"),
     ("dog.xml", "<sdf/>", "is an SDF of Gazebo; convert it to a URDF"),
-    ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "has 5 legs: from 'trunk' hang 5 chains of 3, 3, 3, 3, 3 joints"),
-    ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "has 3 legs: from 'trunk'"),
+    ("dog.xml", mjcf(legs() + leg("M", 0.0, 0.2)), "has 5 legs: 'trunk' has 5 chains of 3, 3, 3, 3, 3 joints"),
+    ("dog.xml", mjcf(legs(("FL", "FR", "RL"))), "has 3 legs: 'trunk' has 3 chains"),
     (
         "dog.xml",
         mjcf("".join(TWO_CHAINS.format(n=n, x=0.2 * x, y=0.1 * y, link=LINK) for n, (x, y) in CORNERS.items())),
-        "has legs that branch at 'bFL'; five-bar legs need a sheet that is written by hand",
+        "has legs that branch at 'bFL'; five-bar legs need a data sheet that is written by hand",
     ),
     ("dog.xml", mjcf(legs(axes=("1 0 0", "0 1 .3", "0 1 0"))), "should be the hip, and its axis at zero is"),
-    ("dog.xml", mjcf(legs(foot="<site/>")), "has neither a shape nor a link for its foot"),
-    ("dog.xml", mjcf().replace('axis="0 1 0"', 'type="slide" axis="0 1 0"', 1), "no single hinge"),
+    ("dog.xml", mjcf(legs(foot="<site/>")), "has neither a shape nor a foot link"),
+    ("dog.xml", mjcf().replace('axis="0 1 0"', 'type="slide" axis="0 1 0"', 1), "does not have a single hinge"),
     ("dog.xml", "<mujoco><wheel/></mujoco>", "MuJoCo can't read it: line 1, <wheel>: Schema violation"),
     (
         "dog.xml",
         mjcf()
         .replace('type="box"', 'type="mesh" mesh="m"')
         .replace("<worldbody>", '<asset><mesh name="m" file="none.stl"/></asset><worldbody>'),
-        "names the file 'none.stl', which is not there; put it where it is named",
+        "names the file 'none.stl', which does not exist; put it there",
     ),
     (
         "dog.xml",
         mjcf().replace('<body name="trunk"><freejoint/>' + BODY, "").replace("</body></worldbody>", "</worldbody>"),
-        "its legs hang from nothing that moves",
+        "its legs are attached to the world",
     ),
     ("dog.xml", mjcf().replace("<freejoint/>", "").replace(BODY, ""), "body 'trunk' has no mass"),
     (
         "dog.xml",
         mjcf().replace('<joint name="FL_abduction" axis="1 0 0" range="-1 1"/>', ""),
-        "its legs have 2, 3, 3, 3 hinges, and all must have 2, or all 3",
+        "its legs have 2, 3, 3, 3 hinges; all must have 2, or all 3",
     ),
     (
         "dog.xml",
@@ -303,7 +303,7 @@ BAD = [
 
 
 @pytest.mark.parametrize(("name", "text", "message"), BAD, ids=[message for _, _, message in BAD])
-def test_a_file_without_a_quadruped_is_refused_in_one_line(name: str, text: str, message: str, tmp_path: Path) -> None:
+def test_files_without_a_quadruped_are_rejected_in_one_line(name: str, text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(SurefootError) as caught:
         read_robot(write(tmp_path, text, name))
     assert message in str(caught.value)
@@ -315,12 +315,12 @@ def test_a_missing_mesh_is_left_out_with_a_note(tmp_path: Path) -> None:
     text = SHIPPED["solo8"].urdf.path.read_text()
     text = text.replace('<link name="base">', f'<link name="base">{MESH}', 1)
     path = write(tmp_path, text, "solo.urdf")
-    missing = "shapes are left out: mesh 'package://r/trunk.stl' is not there; put it where the file names it"
+    missing = "shapes are left out: mesh 'package://r/trunk.stl' does not exist; put it where the file names it"
     assert missing in read_robot(path).notes
     assert missing not in read_robot(path, meshes=False).notes
 
 
-def test_inertias_that_no_body_has_are_noted(tmp_path: Path) -> None:
+def test_impossible_inertias_are_noted(tmp_path: Path) -> None:
     text = SHIPPED["solo8"].urdf.path.read_text()
     extra = link("camera").replace('ixx="1"', 'ixx="9"')
     fixed = '<joint name="mount" type="fixed"><parent link="base"/><child link="camera"/></joint>'
@@ -328,32 +328,32 @@ def test_inertias_that_no_body_has_are_noted(tmp_path: Path) -> None:
     assert any("camera" in note and "no rigid body" in note for note in imported.notes)
 
 
-def test_a_tail_is_held_still_and_adds_to_the_base(tmp_path: Path) -> None:
+def test_a_tail_is_fixed_and_fused_with_the_base(tmp_path: Path) -> None:
     tail = f'<body name="tail" pos="-.2 0 0"><joint name="wag" axis="0 0 1"/>{LINK}</body>'
     poses = '<keyframe><key name="home" qpos="0 0 1 1 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>'
     imported = read_robot(write(tmp_path, mjcf(tail + legs(), poses)))
-    assert "joint 'wag' and what hangs from it are held still: no leg's" in imported.notes
+    assert "joint 'wag' and the bodies below it are fixed, because they are not part of a leg" in imported.notes
     assert imported.base.mass == pytest.approx(6.5)
-    # The tail's centre is .1 m below its joint.
+    # The tail's centre is 0.1 m below its joint.
     np.testing.assert_allclose(imported.base.centre, 0.5 / 6.5 * np.array([-0.2, 0.0, -0.1]), atol=1e-12)
 
 
-def test_torques_are_limited_by_joints_or_by_their_actuators(tmp_path: Path) -> None:
+def test_torque_limits_come_from_joints_or_actuators(tmp_path: Path) -> None:
     motors = """<actuator>
       <motor joint="FL_hip" gear="-9" forcerange="-2 3"/><motor joint="FL_knee" gear="6" ctrlrange="-1.5 1.5"/>
       <position joint="FR_hip" kp="20" ctrlrange="-2 2"/></actuator>"""
     text = mjcf(extra=motors)
     text = text.replace('<joint name="FL_abduction"', '<joint name="FL_abduction" actuatorfrcrange="-24 20"')
     imported = read_robot(write(tmp_path, text))
-    # What a position servo is sent are angles.
+    # Commands of a position servo are angles.
     np.testing.assert_array_equal(imported.torque, [(24.0, 27.0, 9.0), *[[np.nan] * 3] * 3])
 
 
-def test_feet_without_spheres_end_where_boxes_end(tmp_path: Path) -> None:
+def test_feet_without_spheres_are_at_the_end_of_boxes(tmp_path: Path) -> None:
     box = '<geom type="box" size=".015 .01 .1" pos=".005 0 -.1"/>'
     imported = read_robot(write(tmp_path, mjcf(legs(foot=box))))
     radius, (x, y, z) = imported.foot_radius[0], imported.feet[0]
-    # The middle of the lower end, which is .2 m below the knee; the sphere is not much wider than the end.
+    # The centre of the lower end, 0.2 m below the knee; the sphere is not much wider than the end.
     assert 0.004 <= radius <= 1.5 * 0.015 + 1e-9
     assert (x, y) == pytest.approx((0.205, 0.14), abs=2e-3)
     assert z - radius == pytest.approx(-0.4, abs=1e-3)
@@ -361,7 +361,7 @@ def test_feet_without_spheres_end_where_boxes_end(tmp_path: Path) -> None:
 
 
 FEET = {
-    # Shapes at the ankle, .2 m below the knee, and radius and lowest point of the sphere that rolls like them.
+    # Shapes at the ankle, 0.2 m below the knee, and radius and lowest point of the sphere that rolls like them.
     "disc": ('<geom type="cylinder" size=".02 .01" pos="0 0 -.2" euler="1.5707963 0 0"/>', 0.02, 0.22),
     "narrow disc": ('<geom type="cylinder" size=".006 .002" pos="0 0 -.2" euler="1.5707963 0 0"/>', 0.006, 0.206),
     "disc off the line": ('<geom type="cylinder" size=".03 .01" pos=".01 0 -.19" euler="1.5707963 0 0"/>', 0.03, 0.22),
@@ -393,13 +393,13 @@ def test_a_flat_foot_keeps_its_sole(shape: str, tmp_path: Path) -> None:
     assert imported.feet[0, 0] == pytest.approx(0.2, abs=2e-3)
 
 
-def test_a_sphere_at_the_knee_is_no_foot(tmp_path: Path) -> None:
+def test_a_sphere_at_the_knee_is_not_a_foot(tmp_path: Path) -> None:
     foot = '<geom type="sphere" size=".03"/><geom type="cylinder" size=".02 .01" pos="0 0 -.2" euler="1.5707963 0 0"/>'
     imported = read_robot(write(tmp_path, mjcf(legs(foot=foot))))
     assert imported.foot_radius == pytest.approx([0.02] * 4, rel=0.01)
 
 
-def test_a_base_without_a_shape_is_a_box_of_its_inertia(tmp_path: Path) -> None:
+def test_a_base_without_shapes_becomes_a_box_with_its_inertia(tmp_path: Path) -> None:
     half = np.array([0.3, 0.15, 0.1])
     inertia = 6 / 3 * (np.sum(half**2) - half**2)  # of a solid box with half sides
     body = f'<inertial pos=".01 0 0" mass="6" diaginertia="{" ".join(map(str, inertia))}"/>'
@@ -407,10 +407,10 @@ def test_a_base_without_a_shape_is_a_box_of_its_inertia(tmp_path: Path) -> None:
     centre, sides = imported.base_box
     np.testing.assert_allclose(centre, [0.01, 0, 0], atol=1e-12)
     np.testing.assert_allclose(sides, half, rtol=1e-6)
-    assert "the base has no shape: a box with its inertia stands for it" in imported.notes
+    assert "the base has no shape: it is replaced by a box with the same inertia" in imported.notes
 
 
-def test_forward_is_guessed_where_no_name_has_it(tmp_path: Path) -> None:
+def test_forward_is_guessed_without_leg_names(tmp_path: Path) -> None:
     body = "".join(leg(f"leg{k}", 0.2 * x, 0.08 * y) for k, (x, y) in enumerate(CORNERS.values()))
     path = write(tmp_path, mjcf(body))
     imported = read_robot(path)
@@ -418,11 +418,11 @@ def test_forward_is_guessed_where_no_name_has_it(tmp_path: Path) -> None:
     assert "forward is guessed: the joints' names do not say which legs are in front" in imported.notes
     back = read_robot(path, "-x")
     assert (back.forward, [note for note in back.notes if "guessed" in note]) == ("-x", [])
-    # Turned by half: the last leg of the file is the front left one.
+    # Rotated by half a turn, so that the last leg of the file is the front left leg.
     assert back.joints[LEGS.index("front_left")][0] == "leg3_abduction"
 
 
-def test_meshes_are_found_as_packages_have_them_and_unreadable_ones_are_noted(tmp_path: Path) -> None:
+def test_package_meshes_are_found_and_unreadable_meshes_are_noted(tmp_path: Path) -> None:
     corners = np.array([[0, 0, 0], [0.4, 0, 0], [0, 0.2, 0], [0, 0, 0.1]])
     faces = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
     triangles = np.zeros(4, [("normal", "<f4", 3), ("points", "<f4", (3, 3)), ("more", "<u2")])
@@ -448,7 +448,7 @@ def test_meshes_are_found_as_packages_have_them_and_unreadable_ones_are_noted(tm
 
 
 @pytest.mark.parametrize(("mass", "moment", "more"), [("0", "1", 0), ("", "1", 0), ("0.5", "0", 0.5), ("1", "1", 1)])
-def test_links_add_their_mass_with_or_without_inertia(mass: str, moment: str, more: float, tmp_path: Path) -> None:
+def test_fixed_links_add_mass_with_or_without_inertia(mass: str, moment: str, more: float, tmp_path: Path) -> None:
     extra = link("frame", mass=mass)
     for axis in ("ixx", "iyy", "izz"):
         extra = extra.replace(f'{axis}="1"', f'{axis}="{moment}"')
@@ -457,7 +457,7 @@ def test_links_add_their_mass_with_or_without_inertia(mass: str, moment: str, mo
     imported, plain = read_robot(path), read_robot(SHIPPED["solo8"].urdf.path)
     assert imported.base.mass == pytest.approx(plain.base.mass + more)
     assert imported.base.centre == pytest.approx(plain.base.centre * plain.base.mass / imported.base.mass, abs=1e-9)
-    # Inertia about the base's frame, where the link is.
+    # Inertia about the origin of the base, where the link is.
     about = [
         one.inertia + one.mass * (one.centre @ one.centre * np.eye(3) - np.outer(one.centre, one.centre))
         for one in (imported.base, plain.base)

@@ -1,4 +1,4 @@
-"""Leg space of five-bar and serial legs: what holds for every kind, and figures worked by hand."""
+"""Kinematics of five-bar and serial legs: properties of all legs, and numbers calculated by hand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ RIGHT = np.full(2, np.pi / 2)
 def serial_legs(
     knee: float = -1.0, abducts: bool = True, angles: tuple[float, float] = (0.0, 0.0), turn: float = 1.0
 ) -> SerialLegs:
-    """Return a left and a right leg; links at zero are turned by `angles` from straight down."""
+    """Return a left and a right leg; at zero, links have `angles` from straight down."""
     side = np.array([1.0, -1.0])
     return SerialLegs(
         turn=np.full((2, 3 if abducts else 2), turn),
@@ -53,20 +53,20 @@ def pose_of(legs: Legs, abduction: float, swing: float, extension: float) -> np.
 
 
 def grid(legs: Legs) -> np.ndarray:
-    """Return poses (..., C, 2) over the range of commands, both legs alike."""
+    """Return poses (..., C, 2) over the range of commands, equal for both legs."""
     extension = np.linspace(0.6, 2.7, 9) if isinstance(legs, FiveBar) else np.linspace(0.35, 0.97, 9)
     axes = (np.linspace(-0.5, 0.5, 5), np.linspace(-1.0, 1.0, 9), extension)[-len(legs.coordinates) :]
     return np.repeat(np.stack(np.meshgrid(*axes, indexing="ij"), -1)[..., None], 2, axis=-1)
 
 
 @each_kind
-def test_motor_angles_and_feet_lead_back_to_the_pose(legs: Legs):
+def test_poses_round_trip_through_motor_angles_and_feet(legs: Legs):
     poses = grid(legs)
     angles = legs.to_motors(poses)
     np.testing.assert_allclose(legs.to_pose(angles), poses, atol=1e-9)
     np.testing.assert_allclose(np.stack(legs.plane_pose(legs.foot_in_plane(angles)), -2), poses[..., -2:, :], atol=1e-9)
     np.testing.assert_allclose(legs.foot_pose(legs.foot_position(angles)), poses, atol=1e-9)
-    assert legs.closes(angles).all()
+    assert legs.is_feasible(angles).all()
 
 
 @given(st.sampled_from(sorted(KINDS)), *map(partial(st.floats, -1.0), (1.0, 1.0, 1.0)))
@@ -82,7 +82,7 @@ def test_pose_round_trip_within_range(kind: str, abduction: float, swing: float,
 @each_kind
 def test_positive_swing_moves_the_foot_backward_and_extension_makes_the_leg_longer(legs: Legs):
     poses = grid(legs)
-    # The foot of a five-bar leg goes backward over swings to .5 rad, if the leg is not short.
+    # The foot of a five-bar leg moves backward for swings up to 0.5 rad, unless the leg is short.
     poses = poses[2:-2, 3:] if legs is MINITAUR else poses
     foot = legs.foot_in_plane(legs.to_motors(poses))
     assert np.all(np.diff(foot[..., 0], axis=-3) < 0)
@@ -103,9 +103,9 @@ def test_the_jacobian_is_the_derivative_of_the_foots_position(legs: Legs):
 @pytest.mark.parametrize(
     ("legs", "feet"),
     [
-        # Straight down it reaches .101 + .240 m; motor 2 alone would reach closer than .240 - .101 m through its link.
+        # Straight down it reaches 0.101 + 0.240 m; nearer than 0.240 - 0.101 m, motor 2 could not reach it.
         (MINITAUR, [(0.0, -0.342), (0.0, -0.138), (0.4, -0.1), (np.nan, 0.0), (10.0, -10.0)]),
-        # Straight it reaches .45 m; folded, .25 - .2 = .05 m.
+        # Straight it reaches 0.45 m; folded, 0.25 - 0.2 = 0.05 m.
         (serial_legs(), [(0.0, -0.4501), (0.0, -0.0499), (0.4, -0.3), (np.nan, 0.0)]),
     ],
 )
@@ -142,11 +142,11 @@ def test_knees_are_at_the_ends_of_the_upper_links(theta: float, front: tuple, ba
     np.testing.assert_allclose(MINITAUR.knees([theta, theta]), (front, back), atol=1e-15)
 
 
-# At e = pi/2 the knees are at x = +-.101, z = 0, a distance d = .202 apart. From knee 2 the pin lies
-#   (d^2 + .208^2 - .200^2) / 2d = .044068 / .404 = .109079 along, sqrt(.208^2 - .109079^2) = .177104 down,
-# and the foot .240 / .208 times as far along the same link.
-# With equal links of .2: knees at +-.1, pin sqrt(.04 - .01) = .173205 below the axis, foot .3 from knee 2
-# along a link at 60 degrees: x = -.1 + .3 cos 60 = .05, z = -.3 sin 60 = -.259808.
+# At e = pi/2 the knees are at x = +-0.101, z = 0, a distance d = 0.202 apart. From knee 2 the pin lies
+#   (d^2 + 0.208^2 - 0.200^2) / 2d = 0.044068 / 0.404 = 0.109079 along, sqrt(0.208^2 - 0.109079^2) = 0.177104 down,
+# and the foot 0.240 / 0.208 times as far along the same link.
+# With equal links of 0.2: knees at +-0.1, pin sqrt(0.04 - 0.01) = 0.173205 below the axis, foot 0.3 from knee 2
+# along a link at 60 degrees: x = -0.1 + 0.3 cos 60 = 0.05, z = -0.3 sin 60 = -0.259808.
 @pytest.mark.parametrize(
     ("leg", "pin", "foot"),
     [
@@ -166,39 +166,39 @@ def test_the_loop_keeps_every_length_and_knee_angles_lead_to_the_pin():
     lengths = [*np.moveaxis(knees, -2, 0), *np.moveaxis(pin[..., None, :] - knees, -2, 0), foot - knees[..., 1, :]]
     for link, length in zip(lengths, (0.101, 0.101, 0.200, 0.208, 0.240), strict=True):
         np.testing.assert_allclose(np.linalg.norm(link, axis=-1), length, rtol=1e-12)
-    # Absolute angle from straight up, about +y: motor 1 turns by theta_1, motor 2 by -theta_2.
+    # Absolute angles from straight up about +y: theta_1 for motor 1, -theta_2 for motor 2.
     angles = theta * [1.0, -1.0] + MINITAUR.knee_angles(theta)
     ends = knees + np.array(MINITAUR.lower)[:, None] * np.stack([np.sin(angles), np.cos(angles)], axis=-1)
     np.testing.assert_allclose(ends, np.stack([pin, pin], -2), atol=1e-12)
 
 
 def test_knees_bend_to_either_side():
-    # Lower link 1 runs from (.101, 0) to the pin at (.008079, -.177104):
-    # pi + atan(.092921 / .177104) = 3.62478 from straight up, less the upper link's pi/2.
-    # Link 2, from (-.101, 0): -(pi + atan(.109079 / .177104)) + pi/2.
+    # Lower link 1 runs from (0.101, 0) to the pin at (0.008079, -0.177104):
+    # pi + atan(0.092921 / 0.177104) = 3.62478 from straight up, less the upper link's pi/2.
+    # Link 2, from (-0.101, 0): -(pi + atan(0.109079 / 0.177104)) + pi/2.
     np.testing.assert_allclose(MINITAUR.knee_angles(RIGHT), (2.05398, -2.12283), atol=1e-5)
 
 
 def test_swing_turns_the_whole_leg_about_the_motor_axis():
-    # Both upper links turn about +y by the swing, so the leg turns as one rigid body.
+    # Both upper links turn about +y by the swing, so the leg turns as a rigid body.
     at_rest, swung = MINITAUR.foot_in_plane(MINITAUR.to_motors([[0.0, 0.3], [2.0, 2.0]]))
     turn = np.array([(np.cos(0.3), np.sin(0.3)), (-np.sin(0.3), np.cos(0.3))])
     np.testing.assert_allclose(swung, turn @ at_rest, atol=1e-12)
 
 
-# Equal links .1 and .2 at theta = pi/2: knees (+-.1, 0), pin p (0, -.173205), foot .3 along link 2. A turn of motor 1
-# moves knee 1 by (0, -.1) a radian. With u_i = p - k_i, i.e. (-.1, -.173205) and (.1, -.173205):
-#   u_1 . dp = u_1 . (0, -.1) = .0173205,   u_2 . dp = 0   so   dp = (-.0866025, -.05);
-# the foot moves 1.5 times as far, for knee 2 rests: (-.1299038, -.075). A turn of motor 2 moves knee 2 by (0, -.1):
-# dp = (.0866025, -.05), and the foot by 1.5 dp - .5 (0, -.1) = (.1299038, -.025).
+# Equal links 0.1 and 0.2 at theta = pi/2: knees (+-0.1, 0), pin p (0, -0.173205), foot 0.3 along link 2. Motor 1 moves
+# knee 1 by (0, -0.1) m/rad. With u_i = p - k_i, i.e. (-0.1, -0.173205) and (0.1, -0.173205):
+#   u_1 . dp = u_1 . (0, -0.1) = 0.0173205,   u_2 . dp = 0   so   dp = (-0.0866025, -0.05);
+# the foot moves 1.5 times as far, for knee 2 rests: (-0.1299038, -0.075). A turn of motor 2 moves knee 2 by (0, -0.1):
+# dp = (0.0866025, -0.05), and the foot by 1.5 dp - 0.5 (0, -0.1) = (0.1299038, -0.025).
 def test_jacobian_of_a_five_bar_leg_by_hand():
     expected = [(-0.1299038, 0.0, -0.075), (0.1299038, 0.0, -0.025)]
     np.testing.assert_allclose(EQUAL.jacobian(RIGHT).T, expected, atol=1e-7)
 
 
-def test_where_no_loop_closes_there_is_no_foot_and_no_jacobian():
-    assert not SHORT.closes(RIGHT)
-    assert SHORT.closes(1.8 * RIGHT)
+def test_foot_and_jacobian_are_nan_if_the_loop_can_not_close():
+    assert not SHORT.is_feasible(RIGHT)
+    assert SHORT.is_feasible(1.8 * RIGHT)
     assert np.isnan(SHORT.foot_in_plane(RIGHT)).all()
     assert np.isnan(SHORT.jacobian(RIGHT)[[0, 2]]).all()
 
@@ -214,7 +214,7 @@ def test_a_straight_leg_reaches_its_length():
 
 
 # The upper link points straight down and the lower one to the back (knee forward) or to the front (knee backward):
-# r = sqrt(.2^2 + .25^2) = .3201562 of .45 m is .7114583, the swing atan(.25 / .2) = .8960554.
+# r = sqrt(0.2^2 + 0.25^2) = 0.3201562 of 0.45 m is 0.7114583, the swing atan(0.25 / 0.2) = 0.8960554.
 @pytest.mark.parametrize(("knee", "bend", "x"), [(1.0, np.pi / 2, -0.25), (-1.0, -np.pi / 2, 0.25)])
 @pytest.mark.parametrize("abducts", [True, False])
 def test_a_knee_at_a_right_angle(knee: float, bend: float, x: float, abducts: bool):
@@ -226,8 +226,8 @@ def test_a_knee_at_a_right_angle(knee: float, bend: float, x: float, abducts: bo
     np.testing.assert_allclose(legs.to_motors(pose), angles, atol=1e-6)
 
 
-# Straight legs turn by .3 rad about the base's x axis: the foot is at y = .08 cos .3 + .45 sin .3 = .2094111 on the
-# left and z = .08 sin .3 - .45 cos .3 = -.4062598; the right leg is its mirror image.
+# Straight legs turn by 0.3 rad about the base's x axis: on the left, the foot is at
+# y = 0.08 cos 0.3 + 0.45 sin 0.3 = 0.2094111, z = 0.08 sin 0.3 - 0.45 cos 0.3 = -0.4062598; the right leg is mirrored.
 def test_abduction_moves_feet_outward_on_both_sides():
     legs = serial_legs()
     angles = legs.to_motors(pose_of(legs, 0.3, 0.0, 1.0))
@@ -239,38 +239,38 @@ def test_abduction_moves_feet_outward_on_both_sides():
 def test_a_hip_that_is_not_at_the_height_of_the_abduction_axis():
     legs = serial_legs()
     legs.hip[:, 1] = -0.05
-    # The quarter turn brings the left foot, .08 to the left and .05 + .45 below, to .5 to the left and .08 above.
+    # The quarter turn brings the left foot, 0.08 to the left and 0.05 + 0.45 below, to 0.5 to the left and 0.08 above.
     feet = legs.foot_position([[np.pi / 2, 0.0, 0.0], [0.0, 0.0, 0.0]])
     np.testing.assert_allclose(feet, [(0.0, 0.5, 0.08), (0.0, -0.08, -0.5)], atol=1e-15)
 
 
-def test_links_that_are_turned_at_zero():
-    # Upper link forward by .4, lower link back by .9: with motors at zero they stay so.
+def test_links_with_an_angle_at_zero():
+    # Upper link forward by 0.4, lower link back by 0.9: with motors at zero they stay so.
     legs = serial_legs(knee=1.0, angles=(-0.4, 0.9))
     x, z = 0.2 * np.sin(0.4) - 0.25 * np.sin(0.9), -0.2 * np.cos(0.4) - 0.25 * np.cos(0.9)
     np.testing.assert_allclose(legs.foot_in_plane(np.zeros((2, 3))), [(x, z)] * 2, atol=1e-15)
-    # Straight down: the hip turns by .4, the knee by as much as both links are apart, 1.3, the other way.
+    # Straight down: the hip turns by 0.4, and the knee by -1.3, the angle between both links.
     np.testing.assert_allclose(legs.to_motors(pose_of(legs, 0.0, 0.0, 1.0)), [[0.0, 0.4, -1.3]] * 2, atol=1e-9)
 
 
-def test_motors_that_turn_the_other_way_have_the_opposite_angles():
+def test_reversed_motors_have_opposite_angles():
     poses = grid(serial_legs())
     np.testing.assert_array_equal(serial_legs(turn=-1.0).to_motors(poses), -serial_legs().to_motors(poses))
 
 
 def test_a_pose_out_of_reach_has_no_motor_angles():
     legs = serial_legs()
-    # Folded, the leg is .25 - .2 = .05 m long, a ninth of .45 m.
+    # Folded, the leg is 0.25 - 0.2 = 0.05 m long, a ninth of 0.45 m.
     for extension, reached in ((1.001, False), (0.11, False), (1.0, True), (0.112, True)):
         angles = legs.to_motors(pose_of(legs, 0.0, 0.0, extension))
-        assert np.isfinite(angles[:, 1:]).all() == legs.closes(angles).all() == reached
-    # Each leg has its own result.
+        assert np.isfinite(angles[:, 1:]).all() == legs.is_feasible(angles).all() == reached
+    # Results of the legs are independent.
     swing, extension = legs.plane_pose([(0.0, -0.5), (0.0, -0.225)])
     np.testing.assert_allclose([swing, extension], [(np.nan, 0.0), (np.nan, 0.5)])
 
 
-# A straight left leg, .08 m to the side and .45 m long: abduction moves the foot by (0, .45, .08) m/rad, the hip by .45
-# and the knee by .25 m/rad backward.
+# A straight left leg, 0.08 m to the side and 0.45 m long: abduction moves the foot by (0, 0.45, 0.08) m/rad, the hip by
+# 0.45 and the knee by 0.25 m/rad backward.
 def test_jacobian_of_a_serial_leg_by_hand():
     expected = [(0.0, 0.45, 0.08), (-0.45, 0.0, 0.0), (-0.25, 0.0, 0.0)]
     np.testing.assert_allclose(serial_legs().jacobian(np.zeros((2, 3)))[0].T, expected, atol=1e-15)

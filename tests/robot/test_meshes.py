@@ -1,4 +1,4 @@
-"""Meshes of imported robots: files with colours, places in the links' frames, decimation, feet, and damaged files."""
+"""Meshes of imported robots: colours, transforms to link frames, decimation, feet, and damaged files."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import trimesh
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.importing.foot import fit_sphere
+from surefoot.robot.importing.foot_sphere import fit_sphere
 from surefoot.robot.importing.meshes import Surface, decimate, read_mesh
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
@@ -18,11 +18,11 @@ from surefoot.robot.importing.writer import write_robot
 SOLO = RobotDescription.load("solo8")
 SOLID = np.array([(0, 0, 0), (0.3, 0, 0), (0, 0.2, 0), (0, 0, 0.1)])
 FACES = np.array([(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)])
-"""A corner of a box, whose longest edge is along x and whose volume is .001 m3."""
+"""A corner of a box, whose longest edge is along x and whose volume is 0.001 m3."""
 
 
 def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Return the volume inside, negative if the triangles are seen from inside."""
+    """Return the enclosed volume, negative if the triangles face inward."""
     a, b, c = np.moveaxis(np.asarray(vertices, float)[faces], 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
@@ -38,7 +38,7 @@ def write_obj(folder: Path) -> Path:
 
 
 def write_dae(folder: Path, extra: str = "") -> Path:
-    """Write the solid in mm, turned by a node about z by a quarter, in a file that says that y is up."""
+    """Write the solid in mm, rotated by a node by a quarter turn about z, in a file with y as up axis."""
     points = " ".join(f"{1000 * value:g}" for value in SOLID.ravel())
     (folder / "solid.dae").write_text(f"""<?xml version="1.0"?>{extra}
 <COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
@@ -64,7 +64,7 @@ def write_stl(folder: Path) -> Path:
     return folder / "solid.stl"
 
 
-def test_an_obj_has_a_surface_for_each_colour_of_its_materials(tmp_path: Path) -> None:
+def test_an_obj_has_one_surface_per_material_colour(tmp_path: Path) -> None:
     surfaces = {surface.color: surface for surface in read_mesh(write_obj(tmp_path))}
     assert set(surfaces) == {(1.0, 0.0, 0.0), (0.0, 0.0, 1.0)}
     assert [len(surface.faces) for surface in surfaces.values()] == [2, 2]
@@ -72,9 +72,9 @@ def test_an_obj_has_a_surface_for_each_colour_of_its_materials(tmp_path: Path) -
 
 
 @pytest.mark.parametrize("broken", [False, True])
-def test_a_collada_file_has_its_unit_and_nodes_and_no_up_axis(broken: bool, tmp_path: Path) -> None:
+def test_collada_units_and_node_transforms_are_applied_but_not_up_axis(broken: bool, tmp_path: Path) -> None:
     path = write_dae(tmp_path)
-    if broken:  # A material that is not there makes the reader drop the geometry; then the URDF's colour counts.
+    if broken:  # The reader would drop the geometry with a missing material; without it the URDF's colour applies.
         path.write_text(path.read_text().replace('url="#e"', 'url="#none"'))
     (surface,) = read_mesh(path)
     assert surface.color == (None if broken else (0.0, 1.0, 0.0))
@@ -89,14 +89,14 @@ def test_a_collada_file_has_its_unit_and_nodes_and_no_up_axis(broken: bool, tmp_
     [
         ("a.stl", b"solid nothing", "no triangles|can't be read as STL"),
         ("a.stl", bytes(80) + b"\xff\xff\xff\x7f", "has no triangles"),
-        ("a.obj", b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "coordinates that are no numbers"),
+        ("a.obj", b"v 0 0 0\nv 1 0 nan\nv 0 1 0\nf 1 2 3\n", "coordinates that are not finite"),
         ("a.obj", b"v 0 0 0\nv 1 0 0\nf 1 2 9\n", "can't be read as OBJ"),
         ("a.dae", b"<COLLADA", "can't be read as DAE"),
         ("a.dae", b'<!DOCTYPE c [<!ENTITY a "b">]><COLLADA/>', "declares XML entities"),
-        ("a.ply", b"", r"is no \.stl, \.obj, \.dae file"),
+        ("a.ply", b"", r"is not a file of type \.stl, \.obj, \.dae"),
     ],
 )
-def test_damaged_meshes_are_refused_in_one_line(name: str, content: bytes, message: str, tmp_path: Path) -> None:
+def test_damaged_meshes_are_rejected_in_one_line(name: str, content: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(content)
     with pytest.raises(SurefootError, match=message) as caught:
         read_mesh(tmp_path / name)
@@ -104,7 +104,7 @@ def test_damaged_meshes_are_refused_in_one_line(name: str, content: bytes, messa
 
 
 def doubling(levels: int) -> str:
-    """Return nodes b0, b1, ..., of which each holds the one before twice."""
+    """Return nodes b0, b1, ..., each of which instantiates the previous node twice."""
     nodes = '<node id="b0"><instance_geometry url="#g"/></node>'
     for k in range(1, levels + 1):
         nodes += f'<node id="b{k}">{2 * f"""<instance_node url="#b{k - 1}"/>"""}</node>'
@@ -123,7 +123,7 @@ def doubling(levels: int) -> str:
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_nodes_and_units_without_bounds_are_refused_in_one_line(old: str, new: str, tmp_path: Path) -> None:
+def test_excessive_nodes_and_units_are_rejected_in_one_line(old: str, new: str, tmp_path: Path) -> None:
     path = write_dae(tmp_path)
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new, 1))
@@ -133,19 +133,21 @@ def test_nodes_and_units_without_bounds_are_refused_in_one_line(old: str, new: s
 
 
 @pytest.mark.timeout(20)
-def test_nodes_without_geometries_are_counted_too(tmp_path: Path) -> None:
-    """Three kilobytes of nodes, each of which holds the one before ten times, come to 10^11 nodes."""
+def test_nodes_without_geometries_are_counted(tmp_path: Path) -> None:
+    """Three kilobytes of nodes, each of which instantiates the previous node ten times, expand to 10^11 nodes."""
     nodes = '<node id="b0"/>'
     for k in range(1, 12):
         nodes += f'<node id="b{k}">{10 * f"""<instance_node url="#b{k - 1}"/>"""}</node>'
     path = write_dae(tmp_path)
     text = path.read_text().replace("<library_visual", f"<library_nodes>{nodes}</library_nodes><library_visual", 1)
     path.write_text(text.replace("<rotate>0 0 1 90</rotate>", '<instance_node url="#b11"/>'))
-    with pytest.raises(SurefootError, match=r"solid\.dae can't be read as DAE: its nodes.* at most 20000 are read"):
+    with pytest.raises(
+        SurefootError, match=r"solid\.dae can't be read as DAE: its nested nodes.* at most 20000 are read"
+    ):
         read_mesh(path)
 
 
-def test_nodes_of_one_name_are_all_counted(tmp_path: Path) -> None:
+def test_nodes_with_the_same_name_are_all_counted(tmp_path: Path) -> None:
     path = write_dae(tmp_path)
     double = f'<node id="b40"/>{doubling(40).removeprefix("<library_nodes>")}'
     text = path.read_text().replace("<library_visual", f"<library_nodes>{double}<library_visual", 1)
@@ -154,18 +156,18 @@ def test_nodes_of_one_name_are_all_counted(tmp_path: Path) -> None:
         read_mesh(path)
 
 
-def test_decimation_keeps_the_shape_within_about_its_budget() -> None:
+def test_decimation_preserves_the_shape_within_the_budget() -> None:
     ball, dot = trimesh.creation.icosphere(5, 0.5), trimesh.creation.icosphere(1, 0.01)
     surfaces = [Surface(np.array(mesh.vertices), np.array(mesh.faces)) for mesh in (ball, dot)]
     large, small = decimate(surfaces, [1.0, 1.0], [1, 4], 1000)
     assert len(ball.faces) == 20480
-    # More than asked for, as a coarser ball would be flat by more than the tolerance.
+    # More triangles than requested, because a coarser ball would deviate by more than the tolerance.
     assert 900 < len(large.faces) + 4 * len(small.faces) < 2000
     assert volume(large.vertices, large.faces) == pytest.approx(4 / 3 * np.pi * 0.125, rel=0.02)
     np.testing.assert_allclose(np.ptp(large.vertices, axis=0), 1.0, atol=0.02)
 
 
-def test_decimation_drops_what_is_inside() -> None:
+def test_decimation_removes_hidden_triangles() -> None:
     outside, inside = trimesh.creation.icosphere(4, 0.5), trimesh.creation.icosphere(6, 0.2)
     both = trimesh.util.concatenate([outside, inside])
     (surface,) = decimate([Surface(np.array(both.vertices), np.array(both.faces))], [1.0], [1], 60)
@@ -181,7 +183,7 @@ def visual(mesh: str, scale: str, material: str = "", origin: str = '<origin xyz
     return f'<visual>{origin}<geometry><mesh filename="{mesh}" scale="{scale}"/></geometry>{material}</visual>'
 
 
-def test_meshes_are_placed_in_the_written_links_frames(tmp_path: Path) -> None:
+def test_meshes_are_transformed_to_the_written_link_frames(tmp_path: Path) -> None:
     write_stl(tmp_path)
     write_obj(tmp_path)
     red = '<material name="own"><color rgba=".2 .4 .6 1"/></material>'
@@ -190,28 +192,28 @@ def test_meshes_are_placed_in_the_written_links_frames(tmp_path: Path) -> None:
         add_visuals(visual("package://any/solid.obj", "2 2 2") + mirrored + visual("none.stl", "1 1 1"), red)
     )
     imported = read_robot(tmp_path / "solo.urdf")
-    assert "not drawn: mesh 'none.stl' is not there; put it where the file names it" in imported.notes
+    assert "not drawn: mesh 'none.stl' does not exist; put it where the file names it" in imported.notes
     write_robot(imported, tmp_path / "mine", "mine")
     robot = RobotDescription.load(tmp_path / "mine")
     parts = {part.color: part for part in robot.appearance().parts if part.link == "front_left_upper"}
     own = next(part for color, part in parts.items() if np.allclose(color, (0.2, 0.4, 0.6)))
-    # The file's links have the base's axes and lie on their hinges, as written ones do.
-    place = imported.places[0, 0] - SOLO.urdf.frames()["front_left_upper"][:3, 3]
+    # The file's link frames are parallel to the base frame and at the hinges, like the written frames.
+    place = imported.axis_points[0, 0] - SOLO.urdf.frames()["front_left_upper"][:3, 3]
     np.testing.assert_allclose(own.vertices.min(axis=0), np.array([0.1, 0.0, 0.3]) - place, atol=1e-4)
     np.testing.assert_allclose(own.vertices.max(axis=0), np.array([0.4, 0.2, 0.4]) - place, atol=1e-4)
-    # Mirrored, and still seen from outside.
+    # Mirrored meshes still face outward.
     assert volume(own.vertices - own.vertices.mean(axis=0), own.faces) == pytest.approx(0.001, rel=1e-3)
     np.testing.assert_allclose(parts[1.0, 0.0, 0.0].vertices.max(axis=0), np.array([0.7, 0.6, 0.5]) - place, atol=1e-4)
     assert read_robot(tmp_path / "solo.urdf", meshes=False).parts == ()
 
 
-def test_what_can_not_be_drawn_is_noted_and_the_written_folder_loads(tmp_path: Path) -> None:
+def test_unreadable_visuals_are_noted_and_the_written_folder_loads(tmp_path: Path) -> None:
     write_obj(tmp_path)
     (tmp_path / "line.obj").write_text("v 0 0 0\nv 1 0 0\nf 1 2 2\n")
     visuals = visual("solid.obj", "1e4 1e4 1e4") + visual("solid.obj", "1 0 1") + visual("line.obj", "1 1 1")
     (tmp_path / "solo.urdf").write_text(add_visuals(visuals))
     imported = read_robot(tmp_path / "solo.urdf")
-    message = "link 'front_left_upper': visual: scale is 1 0 1; a volume is scaled by 1e-15 to 1e+15"
+    message = "link 'front_left_upper': visual: scale is 1 0 1; the product of its factors must be 1e-15 to 1e+15"
     assert f"not drawn: {message}" in imported.notes
     message = "shapes of front_left_upper have no area, or are farther away than 1000 m"
     assert f"not drawn: {message}" in imported.notes
@@ -220,7 +222,7 @@ def test_what_can_not_be_drawn_is_noted_and_the_written_folder_loads(tmp_path: P
 
 
 def foot(radius: float, width: float, tilt: float) -> np.ndarray:
-    """Return points of a disc about the y axis at the end of a leg of .2 m, which is turned about the knee."""
+    """Return points of a disc about the y axis at the end of a 0.2 m leg, which is rotated about the knee."""
     angle = np.linspace(0, 2 * np.pi, 200)
     points = np.array([(radius * np.cos(a), y, radius * np.sin(a) - 0.2) for a in angle for y in (0, width)])
     turn = np.array([[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]])

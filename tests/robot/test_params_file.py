@@ -1,4 +1,4 @@
-"""Files of physical parameters."""
+"""Parameter files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from surefoot.robot import PhysicalParams
 from surefoot.robot.params_file import param_values, read_params, write_params
 
 
-def test_a_written_file_is_read_to_the_last_bit(robot, tmp_path):
+def test_a_written_file_is_read_back_exactly(robot, tmp_path):
     rng = np.random.default_rng(1)
     params = PhysicalParams.nominal(robot).with_values(
         robot, motor_strength=rng.uniform(0.8, 1.2, (1, 8)), voltage=15.1 + 1e-15, imu_bias=[[0.1, -0.2]]
@@ -26,7 +26,7 @@ def test_a_written_file_is_read_to_the_last_bit(robot, tmp_path):
     assert loaded.tables == {"robot": "minitaur", **tables}
 
 
-def test_values_are_those_that_the_file_names(robot, tmp_path):
+def test_values_contain_only_parameters_of_the_file(robot, tmp_path):
     path = tmp_path / "p.toml"
     text = f"[params]\nvoltage = 15\nimu_bias = [0.1, -0.2]\nmotor_friction = {[0.02] * 8}\n"
     path.write_text(text)
@@ -58,7 +58,7 @@ def test_values_are_those_that_the_file_names(robot, tmp_path):
         ("[params]\nmotor_strength = [1.0, 0.9]", r"p\.toml: motor_strength has shape \(2,\); it must fit \(1, 8\)"),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused(robot, tmp_path, text, message):
+def test_invalid_files_are_rejected(robot, tmp_path, text, message):
     path = tmp_path / "p.toml"
     path.write_text(text)
     with pytest.raises(SurefootError, match=message) as caught:
@@ -66,14 +66,14 @@ def test_a_file_that_does_not_fit_is_refused(robot, tmp_path, text, message):
     assert "\n" not in str(caught.value)
 
 
-def test_a_missing_file_or_folder_is_refused(robot, tmp_path):
+def test_a_missing_file_or_folder_is_rejected(robot, tmp_path):
     with pytest.raises(SurefootError, match="No such file"):
         read_params(tmp_path / "p.toml", robot)
     with pytest.raises(SurefootError, match="No such file"):
         write_params(tmp_path / "there" / "p.toml", robot, PhysicalParams.nominal(robot))
 
 
-def test_other_tables_of_a_file_are_kept(robot, tmp_path):
+def test_other_tables_of_a_file_are_preserved(robot, tmp_path):
     text = """robot = "minitaur"
 owner = "lab 3"
 since = 2026-01-02
@@ -98,13 +98,13 @@ when = 2026-01-02T03:04:05Z
     assert read_params(path, robot).names == ()
 
 
-def test_numbers_of_numpy_are_written_as_numbers(robot, tmp_path):
+def test_numpy_scalars_are_written_as_numbers(robot, tmp_path):
     table = {"a": np.float64(0.1), "b": [np.float32(0.5), np.int64(3)], "c": np.bool_(True), "d": {"e": np.float64(1)}}
     path = write_params(tmp_path / "p.toml", robot, PhysicalParams.nominal(robot), {"table": table}, ())
     assert read_params(path, robot).tables["table"] == {"a": 0.1, "b": [0.5, 3], "c": True, "d": {"e": 1.0}}
 
 
-def test_a_value_that_toml_cannot_hold_is_refused(robot, tmp_path):
+def test_a_value_that_toml_can_not_represent_is_rejected(robot, tmp_path):
     with pytest.raises(SurefootError, match=r"can't hold it: .*NoneType"):
         write_params(tmp_path / "p.toml", robot, PhysicalParams.nominal(robot), {"a": {"b": None}})
     assert list(tmp_path.iterdir()) == []

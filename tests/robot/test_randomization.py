@@ -1,4 +1,4 @@
-"""Randomization: what a robot's stream of random numbers gives, and how a critic gets it."""
+"""Domain randomization: samples from a robot's random stream, and their normalization for a critic."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ FULL: Ranges = {
     "contact_shear_ratio": (0.5, 1.5),
 }
 COUNT = len(FULL) + 7 + 1 + 2
-"""Numbers that an episode draws: motor_strength, imu_bias and imu_mount have one for each motor or axis."""
+"""Number of samples per episode: motor_strength, imu_bias and imu_mount have one per motor or axis."""
 
 
 def numbers(params: PhysicalParams, name: str) -> np.ndarray:
-    """The numbers (N, k) of one parameter; one that all motors share counts once."""
+    """Samples (N, k) of one parameter; a sample that all motors share counts once."""
     values = getattr(params, name).reshape(params.num_envs, -1)
     return values if PARAMETERS[name].independent else values[:, :1]
 
@@ -60,10 +60,10 @@ def many(randomizer) -> list[PhysicalParams]:
     return [randomizer.draw(np.arange(100)) for _ in range(40)]
 
 
-# --- what is drawn ----------------------------------------------------------------------------------------
+# --- distribution of samples ------------------------------------------------------------------------------
 
 
-def test_draws_are_uniform_over_their_ranges(many):
+def test_samples_are_uniform_over_their_ranges(many):
     for name, (low, high) in FULL.items():
         drawn = np.concatenate([numbers(params, name) for params in many])
         assert low <= drawn.min() <= drawn.max() <= high, name
@@ -71,14 +71,14 @@ def test_draws_are_uniform_over_their_ranges(many):
             assert stats.kstest(column, "uniform", (low, high - low)).pvalue > 0.002, name
 
 
-def test_all_numbers_are_independent(many):
+def test_all_samples_are_independent(many):
     drawn = np.array([np.concatenate([numbers(params, name) for name in FULL], axis=1) for params in many])
     assert drawn.shape == (40, 100, COUNT)
     assert np.all(many[0].motor_friction == many[0].motor_friction[:, :1])  # all motors share one
     between = np.corrcoef(drawn.reshape(4000, COUNT), rowvar=False) - np.eye(COUNT)
-    # The standard error of a correlation of 4000 pairs is .016; this is four of them.
+    # The standard error of a correlation of 4000 pairs is 0.016; this is four of them.
     assert np.abs(between).max() < 0.064
-    for first, second in ((drawn[:-1], drawn[1:]), (drawn[:, :-1], drawn[:, 1:])):  # episodes, and robots, in a row
+    for first, second in ((drawn[:-1], drawn[1:]), (drawn[:, :-1], drawn[:, 1:])):  # consecutive episodes, and robots
         for k in range(COUNT):
             assert abs(np.corrcoef(first[..., k].ravel(), second[..., k].ravel())[0, 1]) < 0.064
 
@@ -86,16 +86,16 @@ def test_all_numbers_are_independent(many):
 def test_a_parameter_without_a_range_stays_nominal(make_randomizer, robot):
     randomizer = make_randomizer(3, {"base_mass_ratio": (0.8, 1.2)}, servo_kp=1.5, voltage=15.0)
     drawn = randomizer.draw(np.array([2, 0]))
-    assert np.all(randomizer.nominal.base_mass_ratio == 1.0)  # a draw leaves the nominal values alone
+    assert np.all(randomizer.nominal.base_mass_ratio == 1.0)  # drawing does not change the nominal values
     assert np.all(drawn.base_mass_ratio != 1.0)
     drawn.base_mass_ratio[:] = 1.0
     assert_same(drawn, PhysicalParams.nominal(robot, 2).with_values(robot, servo_kp=1.5, voltage=15.0))
 
 
-# --- on what a draw depends -------------------------------------------------------------------------------
+# --- independence of samples ------------------------------------------------------------------------------
 
 
-def test_a_robot_draws_the_same_in_any_batch_and_order(make_randomizer):
+def test_samples_of_a_robot_do_not_depend_on_batch_and_order(make_randomizer):
     few, lots = make_randomizer(41), make_randomizer(64)
     for _ in range(3):
         assert_same(few.draw(np.array([40, 3])), lots.draw(np.arange(64)).rows([40, 3]))
@@ -106,7 +106,7 @@ def test_a_robot_draws_the_same_in_any_batch_and_order(make_randomizer):
 
 
 @pytest.mark.parametrize("name", FULL)
-def test_a_range_dropped_or_narrowed_leaves_the_other_draws(make_randomizer, name):
+def test_changing_a_range_does_not_change_other_samples(make_randomizer, name):
     low, high = FULL[name]
     width = high - low
     narrow = (low + 0.25 * width, low + 0.5 * width)
@@ -118,7 +118,7 @@ def test_a_range_dropped_or_narrowed_leaves_the_other_draws(make_randomizer, nam
             for params in drawn[1:]:
                 assert np.array_equal(numbers(drawn[0], other), numbers(params, other)), other
         was, now = getattr(drawn[0], name), getattr(drawn[2], name)
-        # The same number from 0 to 1, over a quarter of the range.
+        # The same uniform sample, applied to a quarter of the range.
         np.testing.assert_allclose((now - narrow[0]) / (narrow[1] - narrow[0]), (was - low) / width, atol=1e-12)
 
 
@@ -133,18 +133,18 @@ def test_later_parameters_do_not_change_the_random_stream(make_randomizer):
         np.testing.assert_array_equal(params.servo_latency, 0.010 * unit[:, 22])
 
 
-# --- what a critic may know -------------------------------------------------------------------------------
+# --- normalization for a critic ---------------------------------------------------------------------------
 
 
-def test_scaled_is_from_minus_one_to_one(randomizer, many):
-    scaled = np.concatenate([randomizer.scaled(params) for params in many])
+def test_normalized_parameters_are_from_minus_one_to_one(randomizer, many):
+    scaled = np.concatenate([randomizer.normalize(params) for params in many])
     assert scaled.shape == (4000, COUNT) == (4000, len(randomizer.columns))
     assert np.abs(scaled).max() <= 1 + 1e-12
     assert np.all(scaled.min(axis=0) < -0.99)
     assert np.all(scaled.max(axis=0) > 0.99)
 
 
-def test_scaled_by_hand(robot, make_randomizer):
+def test_normalize_by_hand(robot, make_randomizer):
     ranges: Ranges = {
         **{"base_mass_ratio": (0.8, 1.2), "voltage": (14.0, 16.0)},
         **{"imu_bias": (-0.05, 0.05), "resistance": (0.2, 0.2)},
@@ -153,16 +153,16 @@ def test_scaled_by_hand(robot, make_randomizer):
         robot, base_mass_ratio=[0.8, 1.1], voltage=[14.5, 16.0], imu_bias=[[0.05, 0], [0, -0.025]]
     )
     randomizer = make_randomizer(2, ranges)
-    # A range without width has no column.
+    # A range of zero width has no column.
     assert randomizer.columns == ["base_mass_ratio", "voltage", "imu_bias.roll", "imu_bias.pitch"]
     expected = [[-1, -0.5, 1, 0], [0.5, 1, 0, -0.5]]
-    np.testing.assert_allclose(randomizer.scaled(params), expected, atol=1e-12)
+    np.testing.assert_allclose(randomizer.normalize(params), expected, atol=1e-12)
 
 
 # --- ranges around nominal values -------------------------------------------------------------------------
 
 
-def test_relative_ranges_are_factors_or_summands_of_nominal_values():
+def test_relative_ranges_scale_or_shift_nominal_values():
     robot = RobotDescription.load("pupper_v2")
     offsets = np.linspace(-0.02, 0.02, 12)
     nominal = PhysicalParams.nominal(robot, 40).with_values(robot, motor_offset=offsets[None])
@@ -179,29 +179,29 @@ def test_relative_ranges_are_factors_or_summands_of_nominal_values():
     assert 1.08 < factors.max() <= 1.1
     assert np.ptp(drawn.motor_friction / nominal.motor_friction, axis=1).min() > 0.5
     assert np.abs(drawn.motor_offset - offsets).max() <= 0.01
-    scaled = randomizer.scaled(drawn)
+    scaled = randomizer.normalize(drawn)
     assert scaled.shape == (40, 12 + 1 + 12) == (40, len(randomizer.columns))
     np.testing.assert_allclose(scaled[:, 12], 10 * (factors[:, 0] - 1))
     assert np.abs(scaled).max() <= 1.0 + 1e-9
-    # Draws of other parameters do not depend on these.
+    # Samples of other parameters do not depend on these.
     friction: Ranges = {"contact_friction": (0.5, 1.0)}
     first, second = (Randomizer(one, robot, nominal, 3).draw(np.arange(40)) for one in (ranges | friction, friction))
     np.testing.assert_array_equal(first.contact_friction, second.contact_friction)
 
 
-def test_a_shared_draw_scales_every_motor_by_one_factor(robot):
+def test_a_shared_sample_scales_every_motor_by_one_factor(robot):
     nominal = PhysicalParams.nominal(robot, 5)
     strength = RelativeRange(scale=(0.8, 1.2), independent=False)
     randomizer = Randomizer({"motor_strength": strength, "voltage": (14.0, 15.0)}, robot, nominal, 3)
     drawn = randomizer.draw(np.arange(5))
     assert np.ptp(drawn.motor_strength, axis=1).max() == 0
     assert randomizer.columns == ["motor_strength", "voltage"]
-    # The first motor's number, where each draws its own.
+    # Equal to the first motor's sample if each motor draws its own.
     each = Randomizer({"motor_strength": (0.8, 1.2)}, robot, nominal, 3).draw(np.arange(5))
     np.testing.assert_array_equal(drawn.motor_strength[:, 0], each.motor_strength[:, 0])
 
 
-def test_relative_draws_are_clipped_to_the_robots_bounds(robot):
+def test_relative_samples_are_clipped_to_the_allowed_range(robot):
     ranges: Ranges = {"imu_noise": RelativeRange(add=(-0.2, -0.1)), "control_step": RelativeRange(scale=(100.0, 200.0))}
     drawn = Randomizer(ranges, robot, PhysicalParams.nominal(robot, 5), 3).draw(np.arange(5))
     assert np.all(drawn.imu_noise == 0.0)
@@ -211,7 +211,7 @@ def test_relative_draws_are_clipped_to_the_robots_bounds(robot):
 def test_ranges_widen_from_the_nominal_value_over_a_robots_first_episodes(robot):
     nominal = PhysicalParams.nominal(robot, 3)
     whole, ramped = (Randomizer(FULL, robot, nominal, 3, ramp) for ramp in (0, 4))
-    # Robot 1 begins its episodes later than the others.
+    # Robot 1 starts its first episode later than the others.
     episodes = (([0, 2], (0.25, 0.25)), ([0, 1], (0.5, 0.25)), ([0], (0.75,)), ([0, 1], (1.0, 0.5)), ([0], (1.0,)))
     for rows, shares in episodes:
         index = np.array(rows)
@@ -237,14 +237,14 @@ def test_each_axis_draws_from_its_own_interval(robot):
 TABLE_1 = load_ranges("table1")
 
 
-def test_hidden_parameters_are_within_their_ranges_and_the_rest_is_nominal(robot):
+def test_hidden_parameters_are_within_their_ranges_and_others_nominal(robot):
     nominal, motor = PhysicalParams.nominal(robot), robot.dc_motor
     drawn = [draw_hidden(robot, TABLE_1, seed) for seed in range(200)]
     ranges = {
         name: (0.9 * getattr(motor, name), 1.1 * getattr(motor, name)) for name in ("torque_constant", "resistance")
     }
     ranges |= {"servo_latency": (0.001, 0.005), **TABLE_1}
-    del ranges["control_step"]  # that of the control computer
+    del ranges["control_step"]  # belongs to the control computer
     for name in PhysicalParams.names():
         values = np.array([getattr(params, name)[0] for params in drawn])
         if name in ranges:
@@ -255,11 +255,11 @@ def test_hidden_parameters_are_within_their_ranges_and_the_rest_is_nominal(robot
             np.testing.assert_array_equal(values, np.broadcast_to(getattr(nominal, name)[0], values.shape))
 
 
-def test_a_seed_gives_the_same_hidden_robot_again(robot):
+def test_hidden_robots_are_reproducible_by_seed(robot):
     one, same, other = (draw_hidden(robot, TABLE_1, seed) for seed in (4, 4, 5))
     assert_same(one, same)
     assert one.voltage != other.voltage
     assert len(set(one.motor_strength[0])) == 8
     assert len(set(one.motor_friction[0])) == 1
-    # Draws of a parameter do not change with the other ranges.
+    # Samples of a parameter do not depend on the other ranges.
     assert draw_hidden(robot, {"voltage": TABLE_1["voltage"]}, 4).voltage == one.voltage

@@ -1,4 +1,4 @@
-"""Ranges of physical parameters: tables, files, tasks, identified robots, and what is refused."""
+"""Ranges of physical parameters: tables, files, tasks, identified robots, and invalid ranges."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TABLE_1: Ranges = {
 """Tan et al. 2018, table I, in SI units."""
 
 
-def test_table1_is_the_papers():
+def test_table1_matches_the_paper():
     assert load_ranges("table1") == TABLE_1
     assert range_names() == ["ensemble", "none", "table1"]
     assert load_ranges("none") == {}
@@ -65,7 +65,7 @@ def test_table1_is_the_papers():
         ("latency: [0, 0.02]", "randomize: 'latency' is not a physical parameter; did you mean servo_latency?"),
     ],
 )
-def test_ranges_that_do_not_fit_are_refused(tmp_path: Path, text: str, message: str):
+def test_invalid_ranges_are_rejected(tmp_path: Path, text: str, message: str):
     (tmp_path / "mine.yaml").write_text(text)
     with pytest.raises(SurefootError, match=re.escape(message)) as caught:
         load_ranges("mine.yaml", tmp_path)
@@ -73,7 +73,7 @@ def test_ranges_that_do_not_fit_are_refused(tmp_path: Path, text: str, message: 
 
 
 @pytest.mark.parametrize("name", ["tabel1", ".", "robot"])
-def test_a_table_that_is_missing_is_refused(tmp_path: Path, name: str):
+def test_a_missing_table_is_rejected(tmp_path: Path, name: str):
     with pytest.raises(
         SurefootError, match=rf"randomize '{re.escape(name)}' .*; .*choices: ensemble, none, table1, or"
     ):
@@ -89,7 +89,7 @@ OTHERS = {name: given for name, given in TABLE_1.items() if name != "control_lat
         ("", {}),
         ("randomize: none", {}),
         ("randomize: table1", TABLE_1),
-        ("randomize: mine.yaml", {"voltage": (15.0, 16.0)}),  # the path counts from the task's file
+        ("randomize: mine.yaml", {"voltage": (15.0, 16.0)}),  # the path is relative to the task's file
         ("randomize: {control_latency: [0, 0.02], voltage: null}", {"control_latency": (0.0, 0.02)}),
         (
             "randomize: {table: table1, control_latency: null, contact_stiffness: [3000, 30000]}",
@@ -99,7 +99,7 @@ OTHERS = {name: given for name, given in TABLE_1.items() if name != "control_lat
         ("randomize: {imu_bias: [[0, 0.1], [0, 0]]}", {"imu_bias": ((0.0, 0.1), (0.0, 0.0))}),
     ],
 )
-def test_a_task_names_a_table_or_has_its_own(tmp_path: Path, monkeypatch, randomize: str, expected: Ranges):
+def test_a_task_names_a_table_or_has_its_own_ranges(tmp_path: Path, monkeypatch, randomize: str, expected: Ranges):
     (tmp_path / "mine.yaml").write_text("voltage: [15, 16]\n")
     (tmp_path / "elsewhere").mkdir()
     monkeypatch.chdir(tmp_path / "elsewhere")
@@ -117,7 +117,7 @@ def test_a_task_names_a_table_or_has_its_own(tmp_path: Path, monkeypatch, random
         ("{table: table1, speed: [1, 2]}", "'speed' is not a physical parameter; choices: base_mass_ratio"),
     ],
 )
-def test_a_task_with_ranges_that_do_not_fit_is_refused(tmp_path: Path, randomize: str, message: str):
+def test_a_task_with_invalid_ranges_is_rejected(tmp_path: Path, randomize: str, message: str):
     with pytest.raises(SurefootError, match=rf"task\.yaml: .*{message}"):
         load_task(task_file(tmp_path, f"randomize: {randomize}"))
 
@@ -131,7 +131,7 @@ def task_file(folder: Path, randomize: str) -> str:
 # --- ranges of an identified robot ------------------------------------------------------------------------
 
 
-def test_ranges_of_an_identified_robot_are_its_intervals():
+def test_ranges_of_an_identified_robot_are_its_confidence_intervals():
     robot = RobotDescription.load("pupper_v2")
     file = read_params(robot.folder / "identified.toml", robot)
     intervals, ranges = file.tables["intervals"], load_ranges("identified", robot="pupper_v2")
@@ -165,7 +165,7 @@ def test_ranges_of_an_identified_robot_are_its_intervals():
         ("[intervals]\nimu_mount = [[0.0, 0.1]]", r"fit\.toml: randomize\.imu_mount has 1 intervals; it must have one"),
     ],
 )
-def test_a_file_without_intervals_is_refused(tmp_path: Path, intervals: str, message: str):
+def test_a_file_without_intervals_is_rejected(tmp_path: Path, intervals: str, message: str):
     folder = tmp_path / "pupper_v2"
     shutil.copytree(RobotDescription.load("pupper_v2").folder, folder)
     (folder / "fit.toml").write_text(f"{intervals}\n[params]\ncontact_friction = 0.5\n")

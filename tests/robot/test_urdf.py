@@ -1,4 +1,4 @@
-"""URDFs: links, shapes, joints, frames, links fused by hand and by MuJoCo, and files with one thing wrong."""
+"""URDFs: links, shapes, joints, frames, fused links compared with hand calculation and MuJoCo, and invalid files."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def read(folder: Path, *elements: str) -> Urdf:
 
 
 def read_elbow(folder: Path, more: str, kind: str = "continuous") -> Urdf:
-    """Read an arm on a base, with elements of its joint."""
+    """Read a URDF with an arm on a base; the argument has elements of the joint."""
     return read(folder, link("base"), link("arm"), joint("elbow", "base", "arm", more, kind))
 
 
@@ -63,7 +63,7 @@ def test_rails_are_fixed_to_the_base(robot: RobotDescription):
 
 def test_a_joint_moves_the_links_below_it(robot: RobotDescription):
     expected = {f"front_left_1_{part}" for part in ("rotor", "upper", "lower")}
-    assert robot.urdf.below("front_left_1_motor") == expected
+    assert robot.urdf.links_below("front_left_1_motor") == expected
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_a_joint_moves_the_links_below_it(robot: RobotDescription):
         ("", (0.0, 0.0, 0.0)),
     ],
 )
-def test_a_joint_has_its_place_in_its_parents_frame(tmp_path: Path, origin: str, place: tuple[float, float, float]):
+def test_joint_frames_are_in_the_parents_frame(tmp_path: Path, origin: str, place: tuple[float, float, float]):
     elbow = read_elbow(tmp_path, origin).joints["elbow"]
     assert tuple(elbow.frame[:3, 3]) == place
     assert (elbow.parent, elbow.child, elbow.axis) == ("base", "arm", (1.0, 0.0, 0.0))
@@ -86,10 +86,10 @@ def test_a_revolute_joint_has_limits_and_a_continuous_one_none(tmp_path: Path):
     assert read_elbow(tmp_path, limits).joints["elbow"].limits is None
 
 
-# A quarter turn about z: the child's x axis is the parent's y axis. The arm's hand is .2 along the arm's x.
-def test_frames_follow_places_and_angles_of_joints(tmp_path: Path):
+# A quarter turn about z: the child's x axis is the parent's y axis. The arm's hand is 0.2 along the arm's x.
+def test_link_frames_follow_joint_frames_and_angles(tmp_path: Path):
     turn = f'rpy="0 0 {np.pi / 2}"/><axis xyz="0 0 2"/>'
-    # The hand comes first: the order in the file does not matter.
+    # The hand is first in the file, because the order does not matter.
     urdf = read(
         tmp_path,
         *map(link, ("hand", "arm", "base")),
@@ -100,7 +100,7 @@ def test_frames_follow_places_and_angles_of_joints(tmp_path: Path):
     np.testing.assert_array_equal(frames["base"], np.eye(4))
     np.testing.assert_allclose(frames["arm"][:3], [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]], atol=1e-15)
     np.testing.assert_allclose(frames["hand"][:3], [[-1, 0, 0, 1], [0, -1, 0, 2.2], [0, 0, 1, 3]], atol=1e-15)
-    # Another quarter turn of the elbow: the hand is .2 along the base's -x.
+    # Another quarter turn of the elbow: the hand is 0.2 along the base's -x.
     turned = urdf.frames({"elbow": np.array([0.0, np.pi / 2])})["hand"]
     np.testing.assert_allclose(turned[0], frames["hand"], atol=1e-15)
     np.testing.assert_allclose(turned[1][:3], [[0, 1, 0, 0.8], [-1, 0, 0, 2], [0, 0, 1, 3]], atol=1e-15)
@@ -136,7 +136,7 @@ def test_shapes_have_sizes_frames_and_colors(tmp_path: Path):
         ('<limit lower="low" upper="1"/>', "revolute", "limit lower is 'low'; it must be a finite number"),
     ],
 )
-def test_an_invalid_joint_is_refused(tmp_path: Path, more: str, kind: str, message: str):
+def test_invalid_joints_are_rejected(tmp_path: Path, more: str, kind: str, message: str):
     with pytest.raises(SurefootError) as caught:
         read_elbow(tmp_path, more, kind)
     assert str(caught.value) == f"{tmp_path / 'toy.urdf'}: joint 'elbow': {message}"
@@ -148,20 +148,20 @@ VISUAL = "<visual><geometry>{}</geometry></visual>"
 @pytest.mark.parametrize(
     ("elements", "message"),
     [
-        ((link("base"), link("base")), "there are two links 'base'; each must have a name of its own"),
+        ((link("base"), link("base")), "there are two links 'base'; names must be unique"),
         (
             (link("a"), link("b"), joint("j", "a", "b"), joint("j", "a", "b")),
-            "there are two joints 'j'; each must have a name of its own",
+            "there are two joints 'j'; names must be unique",
         ),
-        ((link("a"), joint("j", "trunk", "a")), "joint 'j' joins 'trunk', not a link; choices: a"),
+        ((link("a"), joint("j", "trunk", "a")), "joint 'j' refers to 'trunk', which is not a link; choices: a"),
         ((link("a"), link("b")), "2 links have no parent (a, b); exactly one must be the root"),
         (
             (link("a"), link("b"), joint("j", "a", "b"), joint("k", "a", "b")),
-            "link 'b' has two parents; joints must be a tree",
+            "link 'b' has two parents; joints must form a tree",
         ),
         (
             (link("a"), link("b"), link("c"), joint("j", "b", "c"), joint("k", "c", "b")),
-            "links are joined in a circle (b, c); joints must be a tree",
+            "joints form a loop (b, c); they must form a tree",
         ),
         (
             (link("a", VISUAL.format('<box size="1 1"/>')),),
@@ -174,14 +174,14 @@ VISUAL = "<visual><geometry>{}</geometry></visual>"
         (('<material name="red"><color rgba="1"/></material>',), "material 'red': rgba is '1'; it must be 4 finite"),
     ],
 )
-def test_an_invalid_file_is_refused(tmp_path: Path, elements: tuple[str, ...], message: str):
+def test_invalid_urdf_files_are_rejected(tmp_path: Path, elements: tuple[str, ...], message: str):
     with pytest.raises(SurefootError) as caught:
         read(tmp_path, *elements)
     assert str(caught.value).startswith(f"{tmp_path / 'toy.urdf'}: {message}")
 
 
-# 1 kg at the origin and, .4 m along x, .1 m up and turned a quarter about z, 3 kg whose centre is .2 m along its y:
-# that is .2 m back along x. A third link moves against the second.
+# 1 kg at the origin and, 0.4 m along x, 0.1 m up and turned a quarter about z, 3 kg whose centre is 0.2 m along its y:
+# that is 0.2 m back along x. A third link moves relative to the second.
 def read_dumbbell(folder: Path) -> Urdf:
     body = '<inertial><origin xyz="0 {} 0"/><mass value="{}"/><inertia ixx="{}" iyy="{}" izz="{}"/></inertial>'
     ball = '<origin xyz="0 {} 0"/><geometry><sphere radius="0.1"/></geometry>'
@@ -201,9 +201,9 @@ def test_parallel_axes_by_hand(tmp_path: Path):
     assert list(fused.links) == ["a", "c"]
     body = fused.links["a"].body
     assert body.mass == 4.0
-    # The second centre is at (.4 - .2, 0, .1); both together at 3/4 of that.
+    # The second centre is at (0.4 - 0.2, 0, 0.1); both together at 3/4 of that.
     np.testing.assert_allclose(body.centre, [0.15, 0.0, 0.075], atol=1e-15)
-    # m1 m2 / (m1 + m2) = .75 kg at the distance (.2, 0, .1); the second body's xx and yy change places.
+    # m1 m2 / (m1 + m2) = 0.75 kg at the distance (0.2, 0, 0.1); the second body's xx and yy change places.
     np.testing.assert_allclose(
         body.inertia,
         [
@@ -215,26 +215,26 @@ def test_parallel_axes_by_hand(tmp_path: Path):
     )
 
 
-def test_shapes_and_joints_keep_their_places(tmp_path: Path):
+def test_fusing_preserves_shape_and_joint_positions(tmp_path: Path):
     urdf = read_dumbbell(tmp_path)
     (tmp_path / "fused.urdf").write_text(format_urdf(urdf.fuse_fixed_links(), "dumbbell", principal=True))
     for fused in (urdf.fuse_fixed_links(), read_urdf(tmp_path / "fused.urdf")):
         assert list(fused.joints) == ["hinge"]
         assert fused.joints["hinge"].parent == "a"
         assert fused.links["a"].visuals == ()
-        # The second link's y points backward along the first one's x.
+        # The second link's y axis points backward along the first link's x axis.
         places = [fused.links["a"].collisions[1].position, fused.joints["hinge"].frame[:3, 3]]
         np.testing.assert_allclose(places, [[0.3, 0, 0.1], [-0.6, 0, 0.1]], atol=1e-15)
         body = urdf.fuse_fixed_links().links["a"].body
         np.testing.assert_allclose(fused.links["a"].body.inertia, body.inertia, rtol=1e-12, atol=1e-15)
         np.testing.assert_allclose(fused.links["a"].body.centre, body.centre, rtol=1e-12)
-    top, frame = urdf.places["b"]
+    top, frame = urdf.fused_frames["b"]
     assert top == "a"
     np.testing.assert_allclose(frame @ [0, 0.2, 0, 1], [0.2, 0, 0.1, 1], atol=1e-15)
 
 
-def test_minitaurs_fused_bodies_are_mujocos(robot: RobotDescription):
-    # MuJoCo reads the same URDF with a reader, a fusing and an eigenvalue solver of its own.
+def test_fused_bodies_of_the_minitaur_match_mujoco(robot: RobotDescription):
+    # MuJoCo has its own URDF reader, fusion of links and eigenvalue solver.
     fused, model = robot.urdf.fuse_fixed_links(), build_model(robot)
     assert len(fused.links) == model.nbody - 1 == 17
     for name, link in fused.links.items():
@@ -247,7 +247,7 @@ def test_minitaurs_fused_bodies_are_mujocos(robot: RobotDescription):
         np.testing.assert_allclose(body.inertia, turn @ np.diag(mujoco_body.inertia) @ turn.T, atol=1e-12)
 
 
-def test_principal_moments_and_axes_make_the_inertia_again(rng: np.random.Generator):
+def test_principal_moments_and_axes_reproduce_the_inertia(rng: np.random.Generator):
     for _ in range(50):
         turn = rpy_matrix(*rng.uniform(-3, 3, 3))
         inertia = turn @ np.diag(rng.uniform(1, 2, 3)) @ turn.T
@@ -256,7 +256,7 @@ def test_principal_moments_and_axes_make_the_inertia_again(rng: np.random.Genera
         np.testing.assert_allclose(axes @ np.diag(moments) @ axes.T, inertia, atol=1e-12)
 
 
-def test_a_body_along_its_frame_keeps_its_frame():
+def test_a_diagonal_inertia_keeps_the_links_frame():
     moments, axes = RigidBody(1.0, np.zeros(3), np.diag([3.0, 1.0, 2.0])).principal()
     np.testing.assert_array_equal(moments, [3.0, 1.0, 2.0])
     np.testing.assert_array_equal(axes, np.eye(3))
@@ -270,6 +270,6 @@ def test_roll_pitch_yaw_round_trip(pitch: float, rng: np.random.Generator):
 
 
 def test_rotation_turns_about_x_then_y_then_z():
-    # A quarter turn about x takes y to z, then one about z leaves it there.
+    # A quarter turn about x maps y to z, and a turn about z does not change it.
     np.testing.assert_allclose(rpy_matrix(np.pi / 2, 0, np.pi / 2) @ [0, 1, 0], [0, 0, 1], atol=1e-15)
     np.testing.assert_allclose(rpy_matrix(0, np.pi / 2, 0) @ [1, 0, 0], [0, 0, -1], atol=1e-15)

@@ -1,4 +1,4 @@
-"""Reality gaps of groups, against numbers worked by hand."""
+"""Reality gaps of groups, compared with hand-computed values."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ from surefoot.studies.comparison import Comparison, study_tables, write_tables
 MakeComparison = Callable[..., Comparison]
 
 
-def test_the_top_policies_are_those_with_the_highest_return_at_home(gap_comparison: MakeComparison) -> None:
+def test_the_top_policies_have_the_highest_return_in_the_training_simulator(gap_comparison: MakeComparison) -> None:
     study = gap_comparison()
     best = study.best()
-    assert best.of_group("a").seed.tolist() == [4, 3, 2]
-    assert study.of_group("a").seed.tolist() == [0, 1, 2, 3, 4]
+    assert best.select_group("a").seed.tolist() == [4, 3, 2]
+    assert study.select_group("a").seed.tolist() == [0, 1, 2, 3, 4]
     assert (len(best.gap("a").in_world("bullet")), len(study.gap("a").home)) == (9, 15)
-    # They are selected by other episodes than those that measure the gap.
+    # The episodes that select them are not those that measure the gap.
     lucky = study.policies.assign(nominal_return=[9.0, *study.policies.nominal_return[1:]])
-    assert replace(study, policies=lucky).best().of_group("a").seed.tolist() == [0, 4, 3]
+    assert replace(study, policies=lucky).best().select_group("a").seed.tolist() == [0, 4, 3]
 
 
 def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(
     gap_comparison: MakeComparison,
 ) -> None:
     gap = gap_comparison().best().gap("a")
-    # Policies' gaps are 1.4, 1.3, 1.2 m and robots' 1.6, 1.3, 1.0 m: variances of the means are .01 / 3 and .09 / 3.
+    # Gaps are 1.4, 1.3, 1.2 m by policy and 1.6, 1.3, 1.0 m by robot: variances of the means are 0.01 / 3 and 0.09 / 3.
     np.testing.assert_allclose(gap.gaps("bullet").mean(axis=1), [1.4, 1.3, 1.2])
     np.testing.assert_allclose(gap.gaps("bullet").mean(axis=0), [1.6, 1.3, 1.0])
     interval = crossed_interval(gap.gaps("bullet"))
@@ -44,18 +44,18 @@ def test_a_gap_has_an_error_over_runs_and_an_interval_over_policies_and_robots(
     assert interval.high - 1.3 == pytest.approx(half, rel=1e-6)
     home = [level + d for level in (2.8, 2.6, 2.4) for d in (-0.1, 0.0, 0.1)]
     away = [level + d for level in (1.4, 1.3, 1.2) for d in (-0.3, 0.0, 0.3)]
-    # With the robot as described, half of that is lost already.
+    # Half of the gap is already lost with the robot as described.
     assert gap.in_world("mujoco-described")["return"].mean() == pytest.approx(2.6 - 0.65)
     over_runs = gap.gap_over_runs("bullet")
     assert over_runs.mean == pytest.approx(1.3)
     assert over_runs.error == pytest.approx(math.sqrt(np.var(home, ddof=1) / 9 + np.var(away, ddof=1) / 9))
 
 
-def test_differences_of_gaps_join_the_errors_of_four_means(gap_comparison: MakeComparison) -> None:
+def test_differences_of_gaps_combine_the_errors_of_four_means(gap_comparison: MakeComparison) -> None:
     best = gap_comparison().best()
     a, b = best.gap("a"), best.gap("b")
-    crossed = best.difference("b", "a", next(figure for figure in best.figures if figure.name == "gap"))
-    # The policies of b agree, and robots do what they do to both: all that varies are the three of a.
+    crossed = best.difference("b", "a", next(metric for metric in best.metrics if metric.name == "gap"))
+    # The policies of b are equal and robot effects cancel: only the three policies of a vary.
     assert crossed.mean == pytest.approx(-1.3)
     columns = b.gaps("bullet").mean(axis=0) - a.gaps("bullet").mean(axis=0)
     parts = [0.01 / 3, np.var(columns, ddof=1) / 3]
@@ -64,7 +64,7 @@ def test_differences_of_gaps_join_the_errors_of_four_means(gap_comparison: MakeC
     assert crossed.high + 1.3 == pytest.approx(half, rel=1e-6)
 
 
-def test_tables_hold_groups_pairs_and_every_run(tmp_path: Path, gap_comparison: MakeComparison) -> None:
+def test_tables_have_groups_pairs_and_every_run(tmp_path: Path, gap_comparison: MakeComparison) -> None:
     study = gap_comparison()
     write_tables(study, study_tables(study), tmp_path)
 
@@ -82,7 +82,7 @@ def test_tables_hold_groups_pairs_and_every_run(tmp_path: Path, gap_comparison: 
     assert (groups[3]["gap"], float(groups[4]["gap"])) == ("", pytest.approx(1.3))
     assert (groups[3]["balanced"], groups[4]["balanced"], groups[4]["far"]) == ("9", "5", "0")
     assert float(groups[4]["least_distance"]) == pytest.approx(1.4)
-    # Robot 0 was never a fall, robot 2 always: of 15 runs 7 were balanced, and robots alone leave few trials.
+    # Robot 0 never fell, robot 2 always: 7 of 15 runs were balanced, and the spread over robots leaves few trials.
     assert float(groups[1]["balanced_share"]) == pytest.approx(7 / 15)
     assert float(groups[1]["balanced_share_low"]) < 0.1
     episodes = rows("episodes.csv")
@@ -98,7 +98,7 @@ def test_tables_hold_groups_pairs_and_every_run(tmp_path: Path, gap_comparison: 
     differences = {(row["group"], row["figure"]): row for row in rows("top_differences.csv")}
     assert {row["against"] for row in differences.values()} == {"a"}
     assert float(differences["b", "gap"]["difference"]) == pytest.approx(-1.3)
-    # Two comparisons: the lesser p value counts twice.
+    # Two comparisons: the smaller p value is doubled.
     p, corrected = ([float(differences[group, "gap"][name]) for group in "bc"] for name in ("p", "p_holm"))
     assert min(corrected) == pytest.approx(2 * min(p))
     everything = {(row["group"], row["figure"]): row for row in rows("differences.csv")}

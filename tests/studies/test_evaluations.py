@@ -1,4 +1,4 @@
-"""Evaluations of a study's policies: their worlds, their figures and the cache of results."""
+"""Evaluations of a study's policies: worlds, metrics and the cache of results."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ POLICY: Any = SimpleNamespace(contract=SimpleNamespace(name="walker"))
 
 
 class Rollouts:
-    """Takes the place of simulations: records calls, and returns slides forward."""
+    """Stand-in for simulations: records calls, and returns traces that slide forward."""
 
     def __init__(self, make_run: Callable[..., EpisodeTrace]) -> None:
         self.calls: list[dict[str, Any]] = []
@@ -68,7 +68,7 @@ def run(kind: str, threads: int = 1) -> tuple[Result, Traces]:
 
 
 def baseline() -> TaskConfig:
-    """A task in the baseline simulator, pushed and drawn."""
+    """Return a task in the baseline simulator with pushes and randomization."""
     task, _ = load_task("trot")
     return replace(
         task,
@@ -79,7 +79,7 @@ def baseline() -> TaskConfig:
     )
 
 
-def test_nominal_episodes_run_in_the_policys_own_simulator(rollouts: Rollouts) -> None:
+def test_nominal_episodes_run_in_the_training_simulator(rollouts: Rollouts) -> None:
     run("nominal")
     (call,) = rollouts.calls
     assert (call["make"], call["world_name"], call["episodes"]) == ("makes mujoco", "mujoco", 20)
@@ -89,7 +89,7 @@ def test_nominal_episodes_run_in_the_policys_own_simulator(rollouts: Rollouts) -
     assert not call["task"].randomize
 
 
-def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollouts) -> None:
+def test_gap_runs_are_in_the_training_simulator_and_on_the_data_sheets_robot(rollouts: Rollouts) -> None:
     result, stored = run("gap", 2)
     home, away, described = rollouts.calls
     assert (described["make"], described["task"]) == (home["make"], away["task"])
@@ -101,7 +101,7 @@ def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollo
         assert (call["episodes"], call["threads"], call["policy_name"]) == (3, 2, "walker")
         assert not call["task"].pushes.enabled
         assert not call["task"].randomize
-        # Not the episodes that policies are chosen by.
+        # These are not the episodes that select policies.
         assert call["seed"] != EVALUATIONS["nominal"].settings["seed"]
     assert {world: len(traces) for world, traces in stored.items()} == dict.fromkeys(
         ("mujoco", "ensemble", "mujoco-described"), 3
@@ -112,10 +112,10 @@ def test_gap_runs_are_at_home_and_on_the_robot_of_the_data_sheet(rollouts: Rollo
     json.dumps(result, allow_nan=False)
 
 
-def test_figures_of_a_gap_are_means_over_its_runs(rollouts: Rollouts) -> None:
+def test_metrics_of_a_gap_are_means_over_its_runs(rollouts: Rollouts) -> None:
     result, _ = run("gap")
-    figures = EVALUATIONS["gap"].read_figures(result)
-    # Distances 3.5, 3.6 and .5 m at home and 1.5, 1.6 and .5 m away; 100, 100 and 60 steps of 2 J at .008 m/J.
+    figures = EVALUATIONS["gap"].read_metrics(result)
+    # Distances 3.5, 3.6, 0.5 m (training simulator) and 1.5, 1.6, 0.5 m; 100, 100, 60 steps of 2 J at 0.008 m/J.
     spent = 0.008 * 2 * (100 + 100 + 60) / 3
     assert figures["gap_home"] == pytest.approx(7.6 / 3 - spent)
     assert figures["gap_away"] == pytest.approx(3.6 / 3 - spent)
@@ -137,7 +137,7 @@ def test_world_names_come_from_the_settings() -> None:
 
 @pytest.fixture
 def policy(tmp_path: Path, repository: Path) -> Path:
-    """A policy in a folder of its own."""
+    """Return a policy file in its own folder."""
     shutil.copy(repository / "policies" / "trot.onnx", tmp_path / "policy.onnx")
     return tmp_path / "policy.onnx"
 

@@ -1,4 +1,4 @@
-"""The table of `benchmarks/handcrafted.py`, from rows with known answers."""
+"""Table of `benchmarks/handcrafted.py`, from rows with known results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TUNED = [
     ("speed", "power", "names"),
     [(0.9, 18.0, "slow, faster"), (1.3, 26.0, "slow, faster"), (0.3, math.nan, ""), (1.5, math.nan, "")],
 )
-def test_tuned_power_is_the_least_on_lines_between_gaits_without_falls(speed, power, names):
+def test_tuned_power_is_the_minimum_on_lines_between_gaits_without_falls(speed, power, names):
     result = handcrafted.at_equal_speed(speed, TUNED)
     assert result[0] == pytest.approx(power, nan_ok=True)
     assert result[1] == names
@@ -35,14 +35,14 @@ def rows(*trainings):
     return [{"file": f"gait-seed_{n}", "speed": v, "power": p} for n, (v, p) in enumerate(trainings) for _ in range(2)]
 
 
-def test_intervals_are_over_trainings_where_there_are_several():
+def test_intervals_are_over_trainings_if_there_are_several():
     three = handcrafted.estimate(rows((0.9, 9.0), (0.9, 12.0), (0.9, 15.0)), "power")
     assert three.mean == pytest.approx(12.0)
     assert three.high - three.mean == pytest.approx(4.302653 * 3.0 / math.sqrt(3))
     assert handcrafted.estimate([{"file": "one", "power": value} for value in (1, 2, 3)], "power").is_finite
 
 
-def test_less_power_is_that_of_each_training_at_its_own_speed():
+def test_less_power_compares_each_training_at_its_own_speed():
     result = handcrafted.comparison(rows((0.9, 9.0), (0.5, 10.0), (0.9, 18.0)), TUNED)
     assert result["less_power"] == pytest.approx((50 + 0 + 0) / 3)
     assert result["baseline"] == "slow, faster"

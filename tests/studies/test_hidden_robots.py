@@ -1,4 +1,4 @@
-"""Hidden robots of a study: their draws, their motors, and what trainings take from their files."""
+"""Hidden robots of a study: random parameters, motors, and values that trainings take from their files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from surefoot.studies.hidden_robots import (
     check_identified,
     read_identified,
     robot_file,
-    take_identified,
+    select_identified,
 )
 
 MINITAUR = RobotDescription.load("minitaur")
@@ -26,18 +26,18 @@ LIMITED = {"voltage_clip": 6.0, "viscous_friction": 0.005}
 ROBOTS = HiddenRobots((201, 202), load_ranges("ensemble"), other_motors=OtherMotors((202,), LIMITED), robot="minitaur")
 
 
-def test_robots_are_those_of_the_ensembles_ranges(tmp_path: Path) -> None:
+def test_robots_are_drawn_from_the_ensembles_ranges(tmp_path: Path) -> None:
     drawn, expected = ROBOTS.params(201, tmp_path), draw_hidden(MINITAUR, load_ranges("ensemble"), 201)
     for name in PhysicalParams.names():
         np.testing.assert_array_equal(getattr(drawn, name), getattr(expected, name))
     offsets = replace(ROBOTS, ranges={**ROBOTS.ranges, "motor_offset": (-0.02, 0.02)}).params(201, tmp_path)
     assert 0 < np.abs(offsets.motor_offset).max() <= 0.02
-    assert np.ptp(offsets.motor_offset) > 0  # each encoder its own
-    np.testing.assert_array_equal(offsets.motor_strength, drawn.motor_strength)  # other draws stay
+    assert np.ptp(offsets.motor_offset) > 0  # one value per encoder
+    np.testing.assert_array_equal(offsets.motor_strength, drawn.motor_strength)  # other parameters are the same
     assert [ROBOTS.family(seed) for seed in ROBOTS.seeds] == ["own", "other"]
 
 
-def test_other_motors_are_a_description_of_their_own(tmp_path: Path) -> None:
+def test_other_motors_have_their_own_robot_description(tmp_path: Path) -> None:
     assert ROBOTS.description(201, tmp_path / "other") == "minitaur"
     folder = ROBOTS.description(202, tmp_path / "other")
     other = RobotDescription.load(folder)
@@ -57,8 +57,8 @@ def test_trainings_take_parameters_by_name_or_group_and_never_the_controllers(tm
     names = ("base_mass_ratio", "control_step", "control_latency", "voltage", "imu_noise", "servo_kp", "servo_kd")
     write_params(robot_file(tmp_path, 201), MINITAUR, params, names=names)
     file = read_params(tmp_path / "robot_201.toml", MINITAUR)
-    assert list(take_identified(file, ("body", "imu_noise"))) == ["base_mass_ratio", "imu_noise"]
-    everything = take_identified(file, ("body", "motors", "contact", "sensors"))
+    assert list(select_identified(file, ("body", "imu_noise"))) == ["base_mass_ratio", "imu_noise"]
+    everything = select_identified(file, ("body", "motors", "contact", "sensors"))
     assert everything == {"base_mass_ratio": 1.1, "control_latency": 0.02, "voltage": 15.0, "imu_noise": 0.0}
     found = read_identified(tmp_path, 201, "minitaur")
     assert found is not None
@@ -67,7 +67,7 @@ def test_trainings_take_parameters_by_name_or_group_and_never_the_controllers(tm
     assert read_identified(None, 201, "minitaur") is None
 
 
-def test_names_that_no_group_may_take_are_refused() -> None:
+def test_names_that_no_group_may_take_are_rejected() -> None:
     check_identified(("body", "voltage"), "groups.a.identified")
     with pytest.raises(SurefootError, match=r"^groups\.a\.identified: servo_kp belongs to the controller"):
         check_identified(("body", "servo_kp"), "groups.a.identified")
@@ -78,11 +78,11 @@ def test_names_that_no_group_may_take_are_refused() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"seeds": (201, 201)}, r"robots\.seeds is \[201, 201\]; it takes 1 or more, none twice"),
-        ({"other_motors": OtherMotors((7,), {})}, r"robots\.other_motors\.seeds: 7 is no robot"),
+        ({"seeds": (201, 201)}, r"robots\.seeds is \[201, 201\]; it needs 1 or more, all different"),
+        ({"other_motors": OtherMotors((7,), {})}, r"robots\.other_motors\.seeds: 7 is not a robot's seed"),
         ({"ranges": {"mass": (0.0, 1.0)}}, "'mass' is not a physical parameter"),
     ],
 )
-def test_robots_that_do_not_fit_are_refused(change: dict[str, object], message: str) -> None:
+def test_invalid_hidden_robots_are_rejected(change: dict[str, object], message: str) -> None:
     with pytest.raises(SurefootError, match=message):
         replace(ROBOTS, **change)  # type: ignore[arg-type]

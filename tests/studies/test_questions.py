@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.evaluation.statistics import holm, t_interval
 from surefoot.studies.questions import Question, answer
 
-# Six robots: `good` is better than `poor` by 2 and than `fair` by about 0.1 on each, in units of the figure.
+# Six robots: `good` is better than `poor` by 2 and than `fair` by about 0.1 on each, in units of the metric.
 GOOD = {201: 0.1, 202: -0.1, 203: 0.2, 204: 0.0, 205: -0.2, 206: 0.3}
 POOR = {seed: value + 2 + 0.01 * (seed % 2) for seed, value in GOOD.items()}
 FAIR = {seed: value + 0.1 * (seed - 203) for seed, value in GOOD.items()}
@@ -25,31 +25,31 @@ def paired_p(one: dict[int, float], other: dict[int, float]) -> float:
     return float(stats.ttest_rel(list(one.values()), list(other.values())).pvalue)
 
 
-def test_a_claim_has_the_greatest_p_value_of_its_parts() -> None:
+def test_a_claim_has_the_maximum_p_value_of_its_parts() -> None:
     result = answer(GAP, VALUES, {})
     first, second = result.comparisons
     assert (first.p, second.p) == pytest.approx((paired_p(GOOD, POOR), paired_p(GOOD, FAIR)))
     assert (first.robots, first.interval.mean) == (6, pytest.approx(-2.005))
     assert result.p == second.p > 0.05 > first.p
-    assert result.verdict == "not shown"
+    assert result.verdict == "not significant"
     alone = answer(Question("gap", "smaller", (("poor", "good"),), "less"), VALUES, {})
     assert (alone.p, alone.verdict) == (first.p, "holds")
 
 
-def test_a_difference_on_the_other_side_does_not_support_a_claim() -> None:
+def test_a_difference_of_the_other_sign_does_not_support_a_claim() -> None:
     result = answer(Question("gap", "greater", (("poor", "good"),), "more"), VALUES, {})
-    assert (result.p, result.verdict) == (1.0, "not shown")
+    assert (result.p, result.verdict) == (1.0, "not significant")
 
 
 def test_differences_are_paired_over_robots_that_both_groups_have() -> None:
     few = {seed: GOOD[seed] - 1 for seed in (203, 204, 205)}
     result = answer(Question("falls", "?", (("good", "few"),)), {**VALUES, "few": few}, {})
     (pair,) = result.comparisons
-    # Equal differences have no spread at all.
+    # Equal differences have zero variance.
     assert (pair.robots, pair.interval.mean, pair.interval.low) == (3, pytest.approx(-1), pytest.approx(-1))
 
 
-def test_comparisons_without_a_claim_are_a_family_of_their_own() -> None:
+def test_comparisons_without_a_claim_are_corrected_within_their_question() -> None:
     result = answer(Question("on_robot", "?", GAP.pairs), VALUES, {})
     raw = [paired_p(GOOD, POOR), paired_p(GOOD, FAIR)]
     assert [one.p for one in result.comparisons] == pytest.approx(raw)
@@ -58,10 +58,10 @@ def test_comparisons_without_a_claim_are_a_family_of_their_own() -> None:
     assert math.isnan(result.p)
 
 
-def test_equivalence_holds_exactly_if_the_interval_of_90_percent_is_within_the_bound() -> None:
+def test_equivalence_holds_exactly_if_the_90_percent_interval_is_within_the_bound() -> None:
     numbers = list(GOOD.values())
     end = t_interval(numbers, 0.9).high
-    for bound, verdict in ((1.001 * end, "holds"), (0.999 * end, "not shown")):
+    for bound, verdict in ((1.001 * end, "holds"), (0.999 * end, "not significant")):
         result = answer(Question("gap", "none", group="good", within=bound), VALUES, {})
         assert result.verdict == verdict
         assert result.comparisons[0].interval.high == end
@@ -72,16 +72,16 @@ def test_equivalence_holds_exactly_if_the_interval_of_90_percent_is_within_the_b
     assert answer(Question("gap", "none", group="good", within=0.3), VALUES, {}).p == pytest.approx(p)
 
 
-def test_a_group_that_did_not_learn_leaves_claims_on_the_gap_alone() -> None:
+def test_a_group_that_did_not_learn_is_excluded_only_from_claims_about_the_gap() -> None:
     reasons = {"fair": "fair did not learn"}
     result = answer(GAP, VALUES, reasons)
     assert [one.left_out for one in result.comparisons] == ["", "fair did not learn"]
     assert (result.p, result.verdict) == (result.comparisons[0].p, "holds, without 1 of 2 comparisons")
     returns = Question("on_robot", "less", GAP.pairs, "less")
-    assert answer(returns, VALUES, reasons).verdict == "not shown"
+    assert answer(returns, VALUES, reasons).verdict == "not significant"
     family = Question("gap", "?", GAP.pairs)
     assert [one.left_out for one in answer(family, VALUES, reasons).comparisons] == ["", ""]
-    # Where the group of the claim itself did not learn, nothing is left to test.
+    # If the claim's own group did not learn, nothing is left to test.
     assert answer(GAP, VALUES, {"good": "good did not learn"}).verdict == "not tested"
     equal = Question("gap", "none", group="good", within=0.5)
     assert answer(equal, VALUES, {"good": "good did not learn"}).verdict == "not tested"
@@ -95,6 +95,6 @@ def test_groups_without_results_are_left_out() -> None:
 
 
 @pytest.mark.parametrize("wrong", [{}, {"pairs": (("a", "b"),), "group": "a", "within": 0.5}, {"group": "a"}])
-def test_a_question_asks_one_thing(wrong: dict[str, object]) -> None:
+def test_a_question_has_either_pairs_or_a_bound(wrong: dict[str, object]) -> None:
     with pytest.raises(SurefootError, match="question 'why' must have either pairs of groups, or a group"):
         Question("gap", "why", **wrong)  # type: ignore[arg-type]

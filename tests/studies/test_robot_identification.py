@@ -1,4 +1,4 @@
-"""Identification of a study's robots by surefoot's commands, which a script stands in for."""
+"""Identification of a study's robots by surefoot's commands, which a script replaces."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from surefoot.configuration import read_yaml
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies import robot_identification
 from surefoot.studies.hidden_robots import HiddenRobots, OtherMotors
-from surefoot.studies.robot_identification import identify_robots, waiting_robots
+from surefoot.studies.robot_identification import identify_robots, unidentified_robots
 
 SCRIPT = """
 import json, sys, time
@@ -37,7 +37,7 @@ ROBOTS = HiddenRobots(
 @pytest.fixture(autouse=True)
 def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "script.py").write_text(SCRIPT)
-    monkeypatch.setattr(robot_identification, "SUREFOOT", (sys.executable, "script.py"))
+    monkeypatch.setattr(robot_identification, "SUREFOOT_COMMAND", (sys.executable, "script.py"))
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
@@ -47,7 +47,7 @@ def calls() -> list[list[str]]:
     return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
 
-def test_every_robot_is_identified_once_and_a_failure_stops_no_other() -> None:
+def test_every_robot_is_identified_once_and_failures_do_not_stop_others() -> None:
     pytest.importorskip("tomli_w")
     ended: list[tuple[int, str]] = []
     folder, work = Path("robots"), Path("work")
@@ -55,7 +55,7 @@ def test_every_robot_is_identified_once_and_a_failure_stops_no_other() -> None:
     assert list(failed) == [2]
     assert failed[2] == "experiment mass: surefoot: error: the robot has fallen (work/robot_2/mass.txt)"
     assert ended == [(1, ""), (2, failed[2]), (3, "")]
-    # Experiments in their order, the first two on the rack; a robot's file appears when all are done.
+    # Experiments run in order, the first two on the rack; a robot's file appears when all are done.
     assert (folder / "robot_1.toml").read_text().split() == ["motor", "latency", "mass", "contact"]
     assert sorted(path.name for path in folder.iterdir()) == ["robot_1.toml", "robot_3.toml"]
     emulated = [words for words in calls() if words[0] == "emulate"]
@@ -66,16 +66,16 @@ def test_every_robot_is_identified_once_and_a_failure_stops_no_other() -> None:
     robots = {words[words.index("--hidden-seed") + 1]: words[words.index("--robot") + 1] for words in emulated}
     assert robots == {"1": "minitaur", "2": "minitaur", "3": str((work / "other_motors").absolute())}
     hosts = {words[words.index("--robot") + 1] for words in calls() if words[0] == "identify"}
-    assert hosts == {"minitaur"}  # an owner has the data sheet
+    assert hosts == {"minitaur"}  # the host has the data sheet
 
-    # The same again tries the robot that is left.
+    # A second call tries only the remaining robot.
     before = len(calls())
-    assert waiting_robots(ROBOTS, folder) == [2]
+    assert unidentified_robots(ROBOTS, folder) == [2]
     assert list(identify_robots(ROBOTS, folder, work, 1, lambda *_: None)) == [2]
     assert len(calls()) == before + 6
 
 
-def test_a_stop_leaves_no_half_of_a_file() -> None:
+def test_a_stop_leaves_no_partial_file() -> None:
     count = 0
 
     def stopped() -> bool:
@@ -84,4 +84,4 @@ def test_a_stop_leaves_no_half_of_a_file() -> None:
         return count > 3
 
     assert identify_robots(ROBOTS, Path("robots"), Path("work"), 1, lambda *_: None, stopped) == {}
-    assert waiting_robots(ROBOTS, Path("robots")) == [1, 2, 3]
+    assert unidentified_robots(ROBOTS, Path("robots")) == [1, 2, 3]

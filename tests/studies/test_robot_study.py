@@ -1,4 +1,4 @@
-"""A study on hidden robots: its file, its trainings, its evaluation, its tables and its report."""
+"""Study on hidden robots: file, trainings, evaluation, tables and report."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ pytest.importorskip("gymnasium")
 pytest.importorskip("matplotlib")
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.conditions import away_task
+from surefoot.evaluation.conditions import data_sheet_task
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params, write_params
 from surefoot.robot.randomization import load_ranges
@@ -64,7 +64,7 @@ def write_robot(folder: Path, seed: int, **values: float) -> None:
     write_params(folder / f"robot_{seed}.toml", MINITAUR, params, names=tuple(values))
 
 
-def test_a_group_is_trained_for_each_identified_robot_or_on_the_sheet(tmp_path: Path) -> None:
+def test_a_group_is_trained_for_each_identified_robot_or_for_the_data_sheet(tmp_path: Path) -> None:
     few, robots = study(tmp_path), tmp_path / "robots"
     write_robot(robots, 1, base_mass_ratio=1.1, voltage=14.5, control_latency=0.03, servo_kp=0.9)
     write_robot(robots, 3, base_mass_ratio=0.9)
@@ -79,7 +79,7 @@ def test_a_group_is_trained_for_each_identified_robot_or_on_the_sheet(tmp_path: 
     whole, plain = runs["whole robot_1 seed 1"], runs["plain robot_1 seed 0"]
     assert whole.path == tmp_path / "runs" / "whole" / "robot_1" / "seed_1"
     assert runs["sheet seed 2"].path == tmp_path / "runs" / "sheet" / "seed_2"
-    # What settings state stays; the servo's gain is the controller's.
+    # Values in settings take precedence; the servo gain belongs to the controller.
     assert whole.config.task.params == {"base_mass_ratio": 1.1, "voltage": 15.5, "control_latency": 0.03}
     assert plain.config.task.params == {"base_mass_ratio": 1.1, "control_latency": 0.0}
     assert whole.config.task.params_source == read_params(robots / "robot_1.toml", MINITAUR).source
@@ -89,7 +89,7 @@ def test_a_group_is_trained_for_each_identified_robot_or_on_the_sheet(tmp_path: 
     assert list({run.name for run in study_runs(few, tmp_path, ("sheet",))}) != []
 
 
-def test_robots_have_the_ranges_and_the_description_of_the_study(tmp_path: Path) -> None:
+def test_hidden_robots_have_the_ranges_and_description_of_the_study(tmp_path: Path) -> None:
     robots = study(tmp_path).hidden
     assert robots.ranges == {**load_ranges("ensemble"), "motor_offset": (-0.01, 0.01)}
     assert (robots.robot, robots.world, robots.starts) == ("minitaur", "bullet", 3)
@@ -104,13 +104,13 @@ def test_robots_have_the_ranges_and_the_description_of_the_study(tmp_path: Path)
             r"groups\.plain\.identified: servo_kd belongs to the controll",
         ),
         ("[plain, whole]", "[plain, hole]", r"questions\.gap: 'hole' is no group of the study; did you mean whole"),
-        ("[gap]", "[falls]", "primary_questions: 'falls' is no question that claims something"),
-        ("least_home", "evaluate: [gap]\nleast_home", "robots: runs on them are the evaluation"),
-        ("seeds: [0, 1, 2]", "seeds: [0, 0]", r"groups\.sheet\.seeds is \[0, 0\]; none may be given twice"),
+        ("[gap]", "[falls]", "primary_questions: 'falls' is not a question with a claim"),
+        ("least_home", "evaluate: [gap]\nleast_home", "robots: a study on robots is evaluated by runs"),
+        ("seeds: [0, 1, 2]", "seeds: [0, 0]", r"groups\.sheet\.seeds is \[0, 0\]; all must be different"),
         ("table: ensemble", "table: assemble", "'assemble' does not exist; did you mean ensemble"),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_an_invalid_study_on_robots_is_rejected(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in TEXT
     with pytest.raises(SurefootError, match=message):
         study(tmp_path, TEXT.replace(old, new))
@@ -118,20 +118,20 @@ def test_a_file_that_does_not_fit_is_refused(tmp_path: Path, old: str, new: str,
 
 def test_identified_parameters_and_questions_need_robots(tmp_path: Path) -> None:
     plain = "task: trot\ngroups:\n  a: {identified: [body]}\n"
-    with pytest.raises(SurefootError, match=r"groups\.a\.identified is given; the study has no robots"):
+    with pytest.raises(SurefootError, match=r"groups\.a\.identified needs robots, and the study has none"):
         study(tmp_path, plain)
     asked = "task: trot\ngroups: {a: {}, b: {}}\nquestions: {q: {text: t, figure: gap, pairs: [[a, b]]}}\n"
-    with pytest.raises(SurefootError, match="questions are about robots, and the study has none"):
+    with pytest.raises(SurefootError, match="questions needs robots, and the study has none"):
         study(tmp_path, asked)
 
 
-def test_the_study_of_the_papers_main_result_is_as_planned() -> None:
+def test_the_study_of_the_papers_main_result_has_the_planned_design() -> None:
     main = load_study(STUDIES / "identified.yaml")
     assert main.hidden.seeds == tuple(range(201, 213))
     assert [main.hidden.family(seed) for seed in main.hidden.seeds].count("other") == 4
     assert len(training_names(main)) == 5 * 12 * 2 + 8
     assert all(not group.identified or "body" in group.identified for group in main.groups.values())
-    # Settings are those of the study before, but for the steps, which are enough for groups that learn.
+    # Settings equal the earlier study's, except for the steps, which are enough for groups that learn.
     before = load_study(STUDIES / "reality-gap.yaml")
     for name in ("baseline", "baseline_pushes", "improved_pushes", "actuator_only", "latency_only"):
         assert main.groups[name].train == before.groups[name].train
@@ -149,7 +149,7 @@ def test_a_policy_keeps_its_gains_and_control_step_on_a_robot(tmp_path: Path) ->
     task = replace(task, actuator="constraint", params=own)
     on = robot_task(task, robots, 4, folder)
     assert (on.actuator, on.robot, on.randomize) == ("dc", str(folder), {})
-    assert replace(on, params={}, robot=task.robot) == replace(away_task(task), params={})
+    assert replace(on, params={}, robot=task.robot) == replace(data_sheet_task(task), params={})
     params, truth = on.nominal(RobotDescription.load(on.robot)), robots.params(4, folder)
     for name in PhysicalParams.names(MINITAUR):
         expected = own[name] if name in ("servo_kd", "control_step") else getattr(truth, name)[0]
@@ -157,7 +157,7 @@ def test_a_policy_keeps_its_gains_and_control_step_on_a_robot(tmp_path: Path) ->
     assert robot_task(task, robots, 1, folder).robot == "minitaur"
 
 
-def test_a_policy_runs_at_home_and_on_its_robots(
+def test_a_policy_runs_in_the_training_simulator_and_on_its_robots(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make_run: MakeRun
 ) -> None:
     robots, calls = study(tmp_path).hidden, list[tuple[str, str, float]]()
@@ -176,10 +176,10 @@ def test_a_policy_runs_at_home_and_on_its_robots(
     assert calls == [("mujoco", "constraint", 15.0), *(("bullet", "dc", voltage) for voltage in voltages)]
     assert [*dict.fromkeys(result["runs"]["world"])] == ["mujoco", "robot_2", "robot_4"]
     assert traces == {}
-    figures = kind.read_figures(result)
+    figures = kind.read_metrics(result)
     assert figures["home"] - figures["on_robot"] == pytest.approx(3.0)
     assert figures["falls"] == 0
-    # Another robot, another range or other motors are another evaluation.
+    # Other robots, ranges or motors are a different evaluation.
     other = replace(robots, other_motors=None)
     kinds = [kind, robot_kind(robots, (2,), tmp_path), robot_kind(other, (2, 4), tmp_path)]
     assert len({repr(one.settings) for one in kinds}) == 3
@@ -189,7 +189,7 @@ def test_a_policy_runs_at_home_and_on_its_robots(
 
 
 def runs(home: float, on_robot: dict[int, float], fell: int = 0) -> dict[str, Any]:
-    """Two runs at home and two on each robot, of which `fell` fell."""
+    """Return two runs in the training simulator and two on each robot, of which `fell` fell."""
     rows = [("mujoco", 0, home - 0.1, True), ("mujoco", 1, home + 0.1, True)]
     for seed, level in on_robot.items():
         rows += [(f"robot_{seed}", k, level + 0.2 * k - 0.1, k >= fell) for k in range(2)]
@@ -201,7 +201,7 @@ def comparison(few: StudyConfig) -> RobotComparison:
     parts = []
     for seed in (0, 1):
         for robot in (1, 2, 3, 4):
-            # The whole group loses .1 to .25 m, the plain one 1.4 to 1.55 m and falls in half of its runs.
+            # The group `whole` loses 0.1 to 0.25 m; `plain` loses 1.4 to 1.55 m and falls in half of its runs.
             for group, home, loss, fell in (("plain", 2.6, 1.4, 1), ("whole", 3.4, 0.1, 0)):
                 training = Training(group, few_config(few, seed), Path(), f"robot_{robot}")
                 level = home + 0.2 * seed - loss - 0.05 * (robot - 1)
@@ -224,13 +224,13 @@ def test_a_group_on_a_robot_is_the_mean_over_seeds_and_starts(tmp_path: Path) ->
     assert (plain.home, plain.on_robot, plain.gap) == pytest.approx((2.7, 1.2, 1.5))
     assert (plain.falls, plain.far) == (50, 0)
     assert (sheet.seeds, sheet.home, sheet.on_robot, sheet.gap) == pytest.approx((3, 3.5, 2.2, 1.3))
-    # 3.4 - .1 -+ .1 + .5 m for seed 0 and .2 m more for seed 1: every run of the whole group is far.
+    # 3.4 - 0.1 -+ 0.1 + 0.5 m for seed 0 and 0.2 m more for seed 1: every run of the group `whole` is far.
     assert table.loc["whole", 1].far == 100
 
 
 def test_claims_leave_out_a_group_that_did_not_learn(tmp_path: Path) -> None:
     made = comparison(study(tmp_path))
-    assert made.not_learned == {"plain": "I did not learn: 2.70 m at home, below 3 m"}
+    assert made.not_learned == {"plain": "I did not learn: return 2.70 m in the training simulator, below 3 m"}
     gap, none = made.answers["gap"], made.answers["none"]
     assert [one.left_out for one in gap.comparisons] == [made.not_learned["plain"], ""]
     assert gap.verdict == "holds, without 1 of 2 comparisons"
@@ -255,7 +255,7 @@ def test_the_report_has_claims_groups_robots_and_figures(tmp_path: Path) -> None
     for part in (
         "**Not complete.** Not in this report: plain robot_9 seed 0.",
         "- **Primary.** The gap of III is smaller: **holds, without 1 of 2 comparisons**",
-        "- I did not learn: 2.70 m at home, below 3 m.",
+        "- I did not learn: return 2.70 m in the training simulator, below 3 m.",
         "## Robots with limited motors",
         "| `base_mass_ratio` | 1 of 1 |",
         "| `voltage` | 0 of 1 |",

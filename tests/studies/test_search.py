@@ -1,4 +1,4 @@
-"""A search without its trainings: what is proposed, what is kept, and what happens to a journal that is damaged."""
+"""Search without trainings: proposals, recorded results, and damaged journals."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytest.importorskip("optuna")
 from surefoot.configuration import write_yaml
 from surefoot.errors import SurefootError
 from surefoot.studies.search import Search, SearchConfig, make_config
-from surefoot.studies.search_space import get
+from surefoot.studies.search_space import get_value
 from surefoot.studies.training import Training
 from surefoot.studies.workers import ProgressReport
 
@@ -34,7 +34,7 @@ def make(folder: Path, seed: int = 3) -> SearchConfig:
 
 def settings(training: Training) -> tuple[Any, ...]:
     names = ("ppo.learning_rate", "ppo.epochs", "ppo.value_hidden")
-    return training.config.seed, *(get(training.config, name) for name in names)
+    return training.config.seed, *(get_value(training.config, name) for name in names)
 
 
 def evaluated(steps: int, value: float) -> dict[str, Any]:
@@ -42,7 +42,7 @@ def evaluated(steps: int, value: float) -> dict[str, Any]:
 
 
 def finish(search: Search, training: Training, value: float, steps: int = STEPS) -> None:
-    """Train to some steps, all evaluations with the same return, and leave the folder that a worker would leave."""
+    """Simulate a worker's training to some steps, with the same return in all evaluations, including its folder."""
     every = search.config.train.evaluate_every
     evaluations = tuple(evaluated(n * every, value) for n in range(1, steps // every + 1))
     training.path.mkdir(parents=True, exist_ok=True)
@@ -54,7 +54,7 @@ def values(search: Search) -> list[tuple[int, str, Any, Any]]:
     return [(trial.number, trial.state.name, trial.value, trial.params) for trial in search.study.trials]
 
 
-def test_the_same_seed_proposes_the_same_trials_stopped_or_not(tmp_path: Path) -> None:
+def test_the_same_seed_proposes_the_same_trials_with_and_without_interruption(tmp_path: Path) -> None:
     evaluations = []
     for name, seed, stops in (("a", 3, False), ("b", 3, True), ("c", 4, False)):
         (tmp_path / name).mkdir()
@@ -66,7 +66,7 @@ def test_the_same_seed_proposes_the_same_trials_stopped_or_not(tmp_path: Path) -
             proposed.append(settings(training))
             finish(search, training, training.config.ppo.learning_rate)
         evaluations.append(proposed)
-        # Returns that grow with the learning rate: what the sampler proposes in the end does too.
+        # Returns increase with the learning rate, and so do the sampler's last proposals.
         assert len({seed for seed, *_ in proposed}) == 15
     assert evaluations[0] == evaluations[1]
     assert not set(map(str, evaluations[0])) & set(map(str, evaluations[2]))
@@ -83,7 +83,7 @@ def test_an_interrupted_trial_resumes_as_the_same_trial(tmp_path: Path) -> None:
     trials = again.trainings(4)
     taken = next(trials)
     assert taken == first
-    # A worker that begins reports all evaluations so far; those that are recorded stay.
+    # A worker's first report has all evaluations so far; recorded ones are kept.
     assert not again.on_report(taken, ProgressReport(200, None, (evaluated(100, 9.9), evaluated(200, 0.6))))
     assert again.study.trials[0].intermediate_values == {1: 0.5, 2: 0.6}
     finish(again, taken, 0.7)
@@ -96,7 +96,7 @@ def test_an_interrupted_trial_resumes_as_the_same_trial(tmp_path: Path) -> None:
     assert list(Search(search.config, tmp_path, True).trainings(4)) == []
 
 
-def test_a_trial_that_falls_behind_is_pruned_after_a_third(tmp_path: Path) -> None:
+def test_a_poor_trial_is_pruned_after_a_third(tmp_path: Path) -> None:
     search = Search(make(tmp_path), tmp_path, False)
     trials = search.trainings(20)
     for _ in range(8):
@@ -118,8 +118,8 @@ def test_a_trial_that_falls_behind_is_pruned_after_a_third(tmp_path: Path) -> No
     assert sum(search.importance().values()) == pytest.approx(1)
 
 
-def test_settings_that_do_not_go_together_fail_alone(tmp_path: Path) -> None:
-    """One sample an update is fewer than the four minibatches; each value alone is allowed."""
+def test_incompatible_settings_fail_only_their_trial(tmp_path: Path) -> None:
+    """One sample per update is fewer than the four minibatches, although each value by itself is valid."""
     (tmp_path / "space.yaml").write_text("num_envs: {choices: [1, 8]}\nsteps_per_update: {choices: [1, 8]}")
     config = make_config("gallop", tmp_path / "space.yaml", 0, STEPS)
     search = Search(config, tmp_path, False)
@@ -131,7 +131,7 @@ def test_settings_that_do_not_go_together_fail_alone(tmp_path: Path) -> None:
 
 
 def damaged(folder: Path, harm: Callable[[bytes], bytes]) -> tuple[Search, bytes]:
-    """Three trials that are over and one under way; then harm comes to the journal."""
+    """Return a search with three finished trials and one running trial, whose journal is damaged by `harm`."""
     search = Search(make(folder), folder, False)
     trials = search.trainings(4)
     for value in (0.1, 0.3, 0.2):
@@ -145,14 +145,14 @@ def damaged(folder: Path, harm: Callable[[bytes], bytes]) -> tuple[Search, bytes
 
 
 @pytest.mark.parametrize("left", [1.0, 0.95, 0.6, 0.3, 0.0])
-def test_a_journal_that_is_cut_off_loses_nothing(tmp_path: Path, left: float) -> None:
+def test_an_incomplete_last_record_loses_nothing(tmp_path: Path, left: float) -> None:
     before, content = damaged(tmp_path, lambda content: content[: round(left * len(content)) - 3 * (left == 1.0)])
     wanted = [(number, params) for number, _, _, params in values(before)]
     search = Search(before.config, tmp_path, True)
     assert [note.count("\n") for note in search.notes] == [0] * bool(content)
     for training in search.trainings(4):
         number = int(training.group[-4:])
-        # The worker finds the training finished, and reports the evaluations in its folder.
+        # The worker detects the finished training, and reports the evaluations in its folder.
         finish(search, training, (0.1, 0.3, 0.2, 0.4)[number])
     assert [(number, params) for number, _, _, params in values(search)] == wanted
     assert [value for *_, value, _ in values(search)] == [0.1, 0.3, 0.2, 0.4]
@@ -169,7 +169,7 @@ def test_a_journal_that_is_cut_off_loses_nothing(tmp_path: Path, left: float) ->
         (lambda c: c.replace(b'"op_code":4', b'"op_code":5'), "Optuna can't read it"),
     ],
 )
-def test_a_journal_that_is_damaged_elsewhere_is_refused_and_left(
+def test_a_journal_with_other_damage_is_rejected_and_unchanged(
     tmp_path: Path, harm: Callable[[bytes], bytes], message: str
 ) -> None:
     before, content = damaged(tmp_path, harm)
@@ -179,18 +179,18 @@ def test_a_journal_that_is_damaged_elsewhere_is_refused_and_left(
     assert before.journal.read_bytes() == content
 
 
-def test_another_search_is_refused(tmp_path: Path) -> None:
+def test_another_search_is_rejected(tmp_path: Path) -> None:
     config = make(tmp_path)
     Search(config, tmp_path, False)
-    with pytest.raises(SurefootError, match="holds a search; go on with it by --resume"):
+    with pytest.raises(SurefootError, match="already has a search; resume it with --resume"):
         Search(config, tmp_path, False)
-    with pytest.raises(SurefootError, match="was searched with seed 3, and now it is 4; give the same"):
+    with pytest.raises(SurefootError, match="the search there has seed 3, this one 4; use the same"):
         Search(replace(config, seed=4), tmp_path, True)
     train = replace(config.train, steps=7)
-    with pytest.raises(SurefootError, match=r"was searched with train\.steps 1000, and now it is 7"):
+    with pytest.raises(SurefootError, match=r"the search there has train\.steps 1000, this one 7"):
         Search(replace(config, train=train), tmp_path, True)
     one = {name: config.space[name] for name in ("ppo.epochs", "ppo.value_hidden")}
-    with pytest.raises(SurefootError, match=r"with ppo\.learning_rate Dimension\(low=0\.0001.*, and now it is None"):
+    with pytest.raises(SurefootError, match=r"there has ppo\.learning_rate Dimension\(low=0\.0001.*, this one None"):
         Search(replace(config, space=one), tmp_path, True)
 
 

@@ -1,4 +1,4 @@
-"""Report of a search, from trials made up so that the right answer is known."""
+"""Report of a search, from synthetic trials with known results."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ def result(tmp_path: Path, make_run: Callable[..., EpisodeTrace]) -> SearchResul
     return SearchResult(replace(config, space=space), pd.DataFrame(rows), pd.concat(fresh), importance)
 
 
-def test_selection_bias_is_the_claimed_return_less_that_of_fresh_episodes(result: SearchResult) -> None:
+def test_selection_bias_is_claimed_minus_fresh_return(result: SearchResult) -> None:
     biases = result.selection_bias()
     assert list(biases) == [5, 3, 1]
-    # Returns of .1, .2 and .3 m less: mean .2, and Student's t for two degrees of freedom, 4.303, times .1 / sqrt(3).
+    # Returns 0.1, 0.2 and 0.3 m lower: mean 0.2, half width t(0.975, 2) = 4.303 times 0.1 / sqrt(3).
     for _, bias in biases.values():
         assert bias.mean == pytest.approx(0.2)
         assert bias.low == pytest.approx(0.2 - 4.303 * 0.1 / math.sqrt(3), abs=1e-4)
@@ -78,7 +78,7 @@ def test_the_report_has_all_sections(result: SearchResult, tmp_path: Path) -> No
     report = write_report(result, tmp_path, "surefoot study search gallop").read_text()
     assert not (tmp_path / "gait_pace.png").exists()
     assert "6 trials (4 complete, 1 pruned, 1 fail) of 1,000,000 control steps" in report
-    assert "Claimed less fresh, mean of these 3: +0.200 [+0.200, +0.200] m." in report
+    assert "Claimed minus fresh, mean of these 3: +0.200 [+0.200, +0.200] m." in report
     assert "| `ppo.value_hidden` | 0.75 |" in report
     assert "| trot | 2 | 1 | 2 running trot | 2.00 | 2 |" in report
     for name in ("search", "parameters", "gait_gallop", "gait_trot", "gait_bound"):
@@ -90,11 +90,11 @@ def test_the_report_has_all_sections(result: SearchResult, tmp_path: Path) -> No
     assert len((tmp_path / "best.csv").read_text().splitlines()) == 1 + 3 * (3 + 2)
 
 
-def test_the_table_of_the_best_has_each_and_all_of_them(result: SearchResult, tmp_path: Path) -> None:
+def test_the_table_of_best_trials_has_each_and_their_mean(result: SearchResult, tmp_path: Path) -> None:
     write_report(result, tmp_path, "surefoot study search gallop")
     rows: list[dict[str, Any]] = list(csv.DictReader((tmp_path / "top.csv").open()))
     assert [(row["rank"], row["trial"]) for row in rows] == [("1", "5"), ("2", "3"), ("3", "1"), ("all", "")]
-    # Returns of 3.5, 2.5 and 1.5 m, .2 m less in fresh episodes, by which their intervals over policies agree.
+    # Returns of 3.5, 2.5 and 1.5 m, and 0.2 m less in fresh episodes: intervals over policies have equal widths.
     assert [float(row["claimed"]) for row in rows] == [3.5, 2.5, 1.5, 2.5]
     assert [float(row["fresh"]) for row in rows] == pytest.approx([3.3, 2.3, 1.3, 2.3])
     assert float(rows[3]["fresh_high"]) == pytest.approx(2.3 + 4.303 / math.sqrt(3), abs=1e-3)
@@ -113,7 +113,7 @@ def test_the_page_of_the_paper_finds_its_numbers_in_the_report(result: SearchRes
         assert fill(tmp_path, text)
 
 
-def test_without_bullet_the_table_of_the_best_has_no_columns_of_it(result: SearchResult, tmp_path: Path) -> None:
+def test_without_bullet_the_table_of_best_trials_has_no_bullet_columns(result: SearchResult, tmp_path: Path) -> None:
     home = result.fresh[result.fresh.world == "mujoco"]
     write_report(replace(result, fresh=home), tmp_path, "surefoot study search gallop")
     rows: list[dict[str, Any]] = list(csv.DictReader((tmp_path / "top.csv").open()))

@@ -1,4 +1,4 @@
-"""Studies as data: trainings of a group, their folders and states."""
+"""Study configuration: trainings of a group, their folders and states."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def study_file(folder: Path, text: str = STUDY) -> Path:
     return path
 
 
-def test_groups_have_the_settings_of_the_study_and_their_own(tmp_path: Path) -> None:
+def test_groups_combine_the_studys_settings_with_their_own(tmp_path: Path) -> None:
     study, trot = load_study(study_file(tmp_path)), load_train_config("trot")
     plain, drawn = (group_config(study, name) for name in ("plain", "drawn"))
     assert study.name == "walks"
@@ -49,11 +49,11 @@ def test_groups_have_the_settings_of_the_study_and_their_own(tmp_path: Path) -> 
     assert plain.task.randomize == {}
     assert drawn.task.randomize == load_ranges("table1")
     assert (study.label("plain"), study.label("drawn")) == ("plain", "Drawn")
-    # Runs share cores and save often.
+    # Runs share cores and save checkpoints often.
     assert (plain.threads, plain.learning_threads, plain.checkpoint_every) == (1, 1, CHECKPOINT_EVERY)
 
 
-def test_a_groups_ranges_replace_those_of_the_study(tmp_path: Path) -> None:
+def test_a_groups_ranges_replace_the_studys(tmp_path: Path) -> None:
     (tmp_path / "few.yaml").write_text("leg_mass_ratio: [0.9, 1.1]\n")
     text = (
         "train: {task: {randomize: table1}}\n"
@@ -65,7 +65,7 @@ def test_a_groups_ranges_replace_those_of_the_study(tmp_path: Path) -> None:
     assert group_config(study, "b").task.randomize == load_ranges("table1") | {"voltage": (15.0, 16.0)}
 
 
-def test_a_table_of_ranges_is_that_of_the_studys_robot(tmp_path: Path) -> None:
+def test_a_table_of_ranges_is_for_the_studys_robot(tmp_path: Path) -> None:
     (tmp_path / "go2-walk.yaml").write_text("{base: trot, robot: go2}")
     ranges = "{train: {task: {randomize: table1}}}"
     study = load_study(study_file(tmp_path, f"{{task: go2-walk.yaml, groups: {{a: {{}}, b: {ranges}}}}}"))
@@ -96,7 +96,7 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("seeds: [0]", "groups is missing"),
         ("groups: {}", "groups is empty"),
         ("groups: {../a: {}}", "name is '../a'; a name has letters"),
-        ("{groups: {a: {}}, seeds: [1, 1]}", "seeds is .1, 1.; .* none twice"),
+        ("{groups: {a: {}}, seeds: [1, 1]}", "seeds is .1, 1.; .* all different"),
         ("{groups: {a: {}}, seeds: []}", "1 or more"),
         ("{groups: {a: {}}, speed: 3}", "speed is not a key"),
         ("groups: {a: {train: {stepps: 3}}}", "groups.a.train.stepps is not a key"),
@@ -108,23 +108,23 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("{groups: {a: {}}, top: 0}", "top is 0; it must be 1 or more"),
         ("{groups: {a: {}}, top: [1]}", "top is .1.; it must be a whole number"),
         ("{groups: {a: {}}, bars: {x: [b]}}", "bars.x: 'b' is no group of the study; choices: a"),
-        ("{groups: {a: {}}, bars: {x: [a, a]}}", "bars.x is .'a', 'a'.; it takes 1 group or more, none twice"),
-        ("{groups: {a: {}}, bars: {x: []}}", "bars.x is ..; it takes 1 group or more"),
+        ("{groups: {a: {}}, bars: {x: [a, a]}}", "bars.x is .'a', 'a'.; it needs 1 group or more, all different"),
+        ("{groups: {a: {}}, bars: {x: []}}", "bars.x is ..; it needs 1 group or more"),
         ("{groups: {a: {}}, bars: {../x: [a]}}", "name is '../x'; a name has letters"),
         ("{groups: {a: {}}, bars: [a]}", "bars is .'a'.; it must be a table"),
         ("{groups: {a: {}}, findings: [{groups: [b], text: x}]}", "findings.0.: 'b' is no group of the study"),
         ("{groups: {a: {}}, findings: [{groups: [a]}]}", "findings.0..text is missing"),
-        ("{groups: {a: {}}, findings: [{groups: [a], text: x}]}", "findings.0.: a are together in no set of bars"),
+        ("{groups: {a: {}}, findings: [{groups: [a], text: x}]}", "findings.0.: a form neither a set of bars"),
     ],
 )
-def test_load_study_refuses_invalid_files(text: str, message: str, tmp_path: Path) -> None:
+def test_load_study_rejects_invalid_files(text: str, message: str, tmp_path: Path) -> None:
     path = study_file(tmp_path, text)
     with pytest.raises(SurefootError, match=message) as error:
         load_study(path)
     assert str(error.value).startswith(str(path))
 
 
-def test_every_pair_is_compared_unless_some_are_named() -> None:
+def test_all_pairs_are_compared_by_default() -> None:
     study = StudyConfig(groups={name: GroupConfig() for name in "abc"})
     assert study.pairs == (("a", "b"), ("a", "c"), ("b", "c"))
     assert replace(study, compare=(("c", "a"),)).pairs == (("c", "a"),)
@@ -152,13 +152,13 @@ def test_the_state_of_a_run_follows_from_its_files(tmp_path: Path) -> None:
     assert run.state == "finished"
 
 
-def test_a_run_of_other_settings_is_refused(tmp_path: Path) -> None:
+def test_a_run_with_other_settings_is_rejected(tmp_path: Path) -> None:
     run = make_run(tmp_path / "run", steps=5000)
     make_run(run.path, steps=6000).check()
     store(run, "checkpoints/latest.ckpt")
     run.check()
     make_run(run.path, steps=5000, threads=2, checkpoint_every=77).check()
-    with pytest.raises(SurefootError, match=r"run: was trained with steps 5000, and the study asks for 6000; go on"):
+    with pytest.raises(SurefootError, match=r"run: was trained with steps 5000, and the study asks for 6000; continue"):
         make_run(run.path, steps=6000).check()
     with pytest.raises(SurefootError, match=r"steps 5000, and the study asks for 4000; move the folder"):
         make_run(run.path, steps=4000).check(extend=True)
@@ -185,7 +185,7 @@ def test_extend_reopens_a_finished_run(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["from-scratch", "reality-gap", "robustness"])
-def test_a_study_that_ships_can_be_read(name: str, repository: Path) -> None:
+def test_released_studies_can_be_read(name: str, repository: Path) -> None:
     study = load_study(repository / "studies" / f"{name}.yaml")
     assert len(study.seeds) >= study.top
     assert set().union(*study.bars.values()) <= set(study.groups)

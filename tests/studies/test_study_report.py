@@ -1,4 +1,4 @@
-"""Tables and report of a study, from results made up so that the right answer is known."""
+"""Tables and report of a study, from synthetic results with known answers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges
 from surefoot.studies.comparison import Comparison, late_gain, policy_row, study_tables
 from surefoot.studies.study_config import GroupConfig, StudyConfig
-from surefoot.studies.study_report import text_of_tables, write_report
+from surefoot.studies.study_report import report_from_tables, write_report
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
@@ -32,7 +32,7 @@ NOMINAL = {"control_latency": 0.0, "voltage": 16.0}
 
 
 def sensitivity(random: np.random.Generator, level: float, droop: float) -> dict[str, object]:
-    """Returns that fall from the nominal value to the ends of each row's range."""
+    """Return results whose returns decrease from the nominal value to the ends of each row's range."""
     place = np.array([(value - RANGES[row][0]) / np.ptp(RANGES[row]) for row, value, _ in WORLDS])
     mean = level - droop * (2 * place - 1) ** 2 * np.array([1 + (row == "control_latency") for row, *_ in WORLDS])
     returns = mean[:, None] + 0.1 * random.standard_normal((len(WORLDS), 4))
@@ -83,7 +83,7 @@ def study() -> Comparison:
 def test_bins_are_means_over_the_episodes_that_end_in_them() -> None:
     columns = {"return": [1.0, 3.0, np.nan, 5.0, 7.0], "episodes": [3, 1, 0, 2, 2]}
     curve = pd.DataFrame({"steps": [10.0, 20.0, 30.0, 40.0, 50.0], **columns})
-    # An update belongs to the bin that its steps end in, at its upper end too.
+    # An update belongs to the bin in which its steps end, including the bin's upper end.
     np.testing.assert_array_equal(bin_curve(curve, "return", [0, 20, 30, 50]), [1.5, np.nan, 6.0])
     assert late_gain(curve) == 7.0 - 5.0
 
@@ -100,7 +100,7 @@ def test_curve_of_a_log_counts_falls_over_episodes() -> None:
     assert np.isnan(late_gain(curve[:1]))
 
 
-def test_tables_hold_the_numbers_of_the_groups(study: Comparison) -> None:
+def test_tables_have_the_numbers_of_the_groups(study: Comparison) -> None:
     tables = study_tables(study)
     assert {name: len(rows) for name, rows in tables.items()} == {
         "policies": 4 * 3,
@@ -124,19 +124,19 @@ def test_tables_hold_the_numbers_of_the_groups(study: Comparison) -> None:
     change = tables["differences"].iloc[1]
     assert [change[name] for name in ("group", "against")] == ["small_randomized", "small_plain"]
     assert change["figure"] == "nominal_return"
-    # 0.2 m less, standard error 0.1 sqrt(2/3), t(0.975, 4) = 2.776445: 0.2267 to either side.
+    # Difference 0.2 m, standard error 0.1 sqrt(2/3), t(0.975, 4) = 2.776445: half width 0.2267.
     ends = (-0.2, -0.4266957, 0.0266957)
     assert (change["difference"], change["difference_low"], change["difference_high"]) == pytest.approx(ends, abs=1e-6)
 
 
 def cells(text: str, heading: str, start: str) -> list[str]:
-    """Cells of the first line of a section that starts with some text."""
+    """Return the cells of a section's first line that begins with a text."""
     section = text.split(f"## {heading}\n")[1].split("\n## ")[0]
     (line, *_) = [line for line in section.splitlines() if line.startswith(f"| {start} |")]
     return [cell.strip() for cell in line.strip("|").split("|")]
 
 
-def test_the_report_holds_the_tables_and_figures(tmp_path: Path, study: Comparison) -> None:
+def test_the_report_has_tables_and_figures(tmp_path: Path, study: Comparison) -> None:
     text = write_report(study, tmp_path, "surefoot study studies/robustness.yaml").read_text()
     assert "surefoot study studies/robustness.yaml" in text
     assert cells(text, "Trainings", "4-D, randomized")[3] == "3,000,000"
@@ -154,8 +154,8 @@ def test_the_report_holds_the_tables_and_figures(tmp_path: Path, study: Comparis
     assert "Not complete" not in text
     for file in re.findall(r"\]\(([^)]+)\)", text):
         assert (tmp_path / file).stat().st_size > 100, file
-    # The same text follows from the tables alone.
-    assert text_of_tables(study.study, tmp_path, "surefoot study studies/robustness.yaml") == text
+    # The tables are sufficient for the same text.
+    assert report_from_tables(study.study, tmp_path, "surefoot study studies/robustness.yaml") == text
     with (tmp_path / "sensitivity.csv").open() as table:
         assert len(list(csv.DictReader(table))) == 4 * 3 * len(WORLDS)
 
@@ -166,7 +166,7 @@ def test_the_report_of_one_seed_has_no_intervals(tmp_path: Path) -> None:
     assert cells(text, "Results", "4-D")[2] == "2.00"
     assert "**" not in "".join(cells(text, "Differences", "4-D, randomized"))
     assert "small_plain seed 1" in text.split("## Trainings")[0]
-    assert text_of_tables(study.study, tmp_path, "command") == text
+    assert report_from_tables(study.study, tmp_path, "command") == text
 
 
 def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make_run: MakeRun) -> None:
@@ -186,7 +186,7 @@ def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make
     with (tmp_path / "out" / "policies.csv").open() as table:
         gaits = [(row["gait"], row["pattern"], row["gait_agree"]) for row in csv.DictReader(table)]
     assert gaits == [("pace", "walking pace", "4")] * (4 * 2)
-    assert text_of_tables(study, tmp_path / "out", "command") == text
+    assert report_from_tables(study, tmp_path / "out", "command") == text
     for group in plain.groups:
         assert (tmp_path / "out" / f"gait_{group}.png").stat().st_size > 1000
         assert f"![Footfalls: {plain.study.label(group)}, seed 0](gait_{group}.png)" in section
@@ -195,12 +195,12 @@ def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make
 def test_the_report_on_gaps(tmp_path: Path, gap_comparison: Callable[..., Comparison]) -> None:
     comparison = gap_comparison()
     text = write_report(comparison, tmp_path, "surefoot study gaps.yaml").read_text()
-    assert text_of_tables(comparison.study, tmp_path, "surefoot study gaps.yaml") == text
+    assert report_from_tables(comparison.study, tmp_path, "surefoot study gaps.yaml") == text
     for file in re.findall(r"\]\(([^)]+)\)", text):
         assert (tmp_path / file).exists(), file
     for file in ("gap_both.png", "gap_others.png", "learning_curves_both.png"):
         assert f"]({file})" in text
-    # The finding on a set is reported though one of its groups has no policies yet.
+    # A finding on a set is reported even if one of its groups has no policies yet.
     assert "In the paper: all was well." in text
     assert "- second, against first: the second did better." in text.split("## Trainings")[0]
     # All policies first, then the best.

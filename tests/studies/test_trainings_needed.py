@@ -1,4 +1,4 @@
-"""Trainings that differences of the studies would take: the committed tables are what the committed studies give."""
+"""Power analysis of the studies: the committed tables follow from the committed studies."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ROOT = Path(__file__).resolve().parents[2]
 needed = SimpleNamespace(**runpy.run_path(str(ROOT / "benchmarks" / "trainings_needed.py")))
 
 
-def test_power_grows_with_the_trainings_and_is_that_of_the_tables():
+def test_power_grows_with_the_trainings_and_matches_published_tables():
     powers = [needed.welch_power(1.0, (1.0, 2.0), trainings, 0.05) for trainings in (2, 10, 40)]
     assert powers == sorted(powers)
     assert powers[-1] > 0.9
@@ -25,7 +25,7 @@ def test_power_grows_with_the_trainings_and_is_that_of_the_tables():
     assert needed.welch_power(1.0, (1.0, 1.0), 17, 0.05) == pytest.approx(0.807, abs=0.002)
 
 
-def test_the_tables_are_those_of_the_studies():
+def test_the_committed_tables_follow_from_the_studies():
     with (ROOT / "results/paper/trainings_needed.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [row["name"] for row in rows] == list(needed.DIFFERENCES)
@@ -38,5 +38,5 @@ def test_the_tables_are_those_of_the_studies():
 
 
 @pytest.mark.parametrize("share", [0.6, 2 / 3, 0.9])
-def test_a_majority_takes_more_trials_the_closer_it_is_to_one_half(share: float):
+def test_a_majority_near_one_half_needs_more_trials(share: float):
     assert needed.majority(share) > needed.majority(share + 0.05)

@@ -1,4 +1,4 @@
-"""Tuning of handcrafted gaits: what parameters mean, what a search finds, and what is refused."""
+"""Tuning of handcrafted gaits: parameters, search, and rejected input."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import pytest
 
 pytest.importorskip("cma")
 
-from surefoot.studies.tune import GAINS, PATH, PHASES, TuneConfig, Tuner, foot_config, has_converged
+from surefoot.studies.tune import GAIN_RANGES, PATH_RANGES, PHASE_RANGES, TuneConfig, Tuner, foot_config, has_converged
 from surefoot.task.handcrafted import OpenLoop
 from surefoot.task.raibert import RaibertController
 from surefoot.world.sim_world import SimWorld
 
-USUAL = {name: usual for name, (_, _, usual) in PATH.items()}
+USUAL = {name: usual for name, (_, _, usual) in PATH_RANGES.items()}
 SMALL = TuneConfig(generations=2, population=4, starts=2, duration=0.5, threads=1)
 
 
@@ -42,13 +42,13 @@ def test_foot_config_scales_parameters_by_reach_and_speed():
         ("free", {"front_left": 0.0, "front_right": 0.1, "back_left": 0.4, "back_right": 0.3}),
     ],
 )
-def test_phases_of_each_gait(gait, phase):
+def test_each_gait_has_its_phases(gait, phase):
     free = {"back_phase": 0.4, "front_lead": 0.1, "back_lead": -0.1}
-    values = USUAL | {name: free[name] for name in PHASES[gait]}
+    values = USUAL | {name: free[name] for name in PHASE_RANGES[gait]}
     assert foot_config(values, gait, 1.0, 0.3).phase == pytest.approx(phase)
 
 
-def test_the_result_depends_on_the_seed_alone():
+def test_the_result_depends_only_on_the_seed():
     best_values = []
     for seed in (5, 5, 6):
         tuner = Tuner(replace(SMALL, seed=seed, starts=1), SimWorld)
@@ -58,7 +58,7 @@ def test_the_result_depends_on_the_seed_alone():
     assert best_values[0] != best_values[2]
 
 
-def test_a_search_gets_better_and_keeps_the_best_of_another_start():
+def test_a_search_improves_and_keeps_the_best_start():
     tuner = Tuner(SMALL, SimWorld)
     costs = []
     for _ in range(2):
@@ -68,11 +68,11 @@ def test_a_search_gets_better_and_keeps_the_best_of_another_start():
     best = dict(tuner.best)
     again = Tuner(replace(SMALL, raibert=True), SimWorld, best)
     assert {name: again.best[name] for name in best} == best
-    assert set(again.best) - set(best) == set(GAINS)
+    assert set(again.best) - set(best) == set(GAIN_RANGES)
     assert isinstance(again.gait().policy(), RaibertController)
     assert isinstance(tuner.gait().policy(), OpenLoop)
     tuner.finish()
-    assert tuner.best in [*tuner._firsts, best]
+    assert tuner.best in [*tuner._generation_best, best]
     assert tuner.gait().about["parameters"] == tuner.best
 
 
@@ -91,7 +91,7 @@ def test_a_start_out_of_reach_moves_towards_the_default_gait():
     assert 0.7 < tuner.best["back_height"] < 0.72
 
 
-def test_a_search_has_converged_when_it_gained_less_than_two_percent():
+def test_a_search_has_converged_if_it_gained_less_than_two_percent():
     assert has_converged([90.0, 50.0, 49.5, 60.0], 2)
     assert not has_converged([90.0, 50.0, 48.9, 60.0], 2)
     assert not has_converged([50.0, 50.0, 50.0], 2)

@@ -1,4 +1,4 @@
-"""Commands: ranges of robots, drawn and scheduled ones, and what a gait follows."""
+"""Commands: ranges, random commands, schedules and files."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scripted import COMMAND_LIMITS as LIMITS
+from scripted_world import COMMAND_LIMITS as LIMITS
 
 from surefoot.errors import SurefootError
 from surefoot.robot import GRAVITY, RobotDescription
@@ -16,7 +16,7 @@ from surefoot.task.commands import CommandConfig, CommandSampler, CommandSchedul
 STEP = np.array([0.1])
 
 
-def test_relative_ranges_count_the_natural_speed_and_rate_of_the_legs() -> None:
+def test_relative_ranges_are_in_natural_units_of_the_legs() -> None:
     go2 = RobotDescription.load("go2")
     length = go2.leg_geometry.length
     limits = CommandConfig(relative=True, forward=(-0.5, 0.75), sideways=(-0.2, 0.2), yaw_rate=(-0.2, 0.2)).limits(go2)
@@ -25,7 +25,7 @@ def test_relative_ranges_count_the_natural_speed_and_rate_of_the_legs() -> None:
     assert limits.yaw_rate[1] == pytest.approx(0.2 * np.sqrt(GRAVITY / length))
 
 
-def test_legs_without_abduction_are_not_sent_sideways() -> None:
+def test_legs_without_abduction_get_no_sideways_command() -> None:
     minitaur = RobotDescription.load("minitaur")
     relative = CommandConfig(relative=True, forward=(0, 1), sideways=(-0.2, 0.2)).limits(minitaur)
     assert relative is not None
@@ -45,12 +45,12 @@ def test_without_ranges_there_are_no_commands() -> None:
         ({"yaw_rate": (-1.0, -0.5)}, r"commands.yaw_rate is \[-1, -0.5\] rad/s"),
     ],
 )
-def test_a_range_must_hold_zero(ranges: dict[str, tuple[float, float]], message: str) -> None:
+def test_a_range_must_include_zero(ranges: dict[str, tuple[float, float]], message: str) -> None:
     with pytest.raises(SurefootError, match=message):
         CommandConfig(**ranges).limits(RobotDescription.load("go2"))
 
 
-def test_a_range_that_is_reversed_is_refused() -> None:
+def test_a_range_that_is_reversed_is_rejected() -> None:
     with pytest.raises(SurefootError, match=r"commands\.hold is \[3, 2\]; the lower bound must come first"):
         CommandConfig(hold=(3.0, 2.0))
 
@@ -63,7 +63,7 @@ def test_a_command_out_of_range_is_clamped_and_reported() -> None:
 
 
 @pytest.mark.parametrize("bad", [[np.nan, 0, 0], [0, np.inf, 0], [0, 0]])
-def test_a_command_that_is_not_three_numbers_is_refused(bad: list[float]) -> None:
+def test_a_command_must_have_three_numbers(bad: list[float]) -> None:
     with pytest.raises(SurefootError, match="command"):
         LIMITS.clamp(bad)
 
@@ -76,14 +76,14 @@ def test_a_robot_draws_the_same_commands_in_any_batch() -> None:
         for k in range(60):
             sampler.update(np.full(len(sampler.command), 0.1 * k))
     assert np.array_equal(few.command, many.command[:2])
-    assert few.drawn.min() >= 3  # 6 s of commands that hold for at most 2 s
+    assert few.drawn.min() >= 3  # 6 s of commands that each hold for at most 2 s
 
 
-def test_drawn_commands_fill_their_ranges_and_some_mean_stand() -> None:
+def test_random_commands_fill_their_ranges_and_include_standing() -> None:
     config = CommandConfig(forward=(-1, 1), yaw_rate=(-1, 1), stand=0.2, straight=0.3)
     sampler = CommandSampler(config, LIMITS, 4000, seed=1)
     sampler.reset(np.arange(4000))
-    stands = LIMITS.stands(sampler.command)
+    stands = LIMITS.in_deadband(sampler.command)
     straight = ~stands & (sampler.command[:, 2] == 0)
     assert stands.mean() == pytest.approx(0.2, abs=0.02)
     assert straight.mean() == pytest.approx(0.3, abs=0.03)
@@ -92,7 +92,7 @@ def test_drawn_commands_fill_their_ranges_and_some_mean_stand() -> None:
     assert abs(np.mean(forward) - 0.5) < 0.05
 
 
-def test_commands_that_were_drawn_slow_get_more_speed_forward_or_backward() -> None:
+def test_slow_random_commands_get_more_forward_or_backward_speed() -> None:
     limits = CommandLimits(
         forward=(-0.3, 2.0), sideways=(-0.5, 0.5), yaw_rate=(-1, 1), acceleration=(1, 1, 1), deadband=(0.01,) * 3
     )
@@ -107,15 +107,15 @@ def test_commands_that_were_drawn_slow_get_more_speed_forward_or_backward() -> N
     assert np.array_equal(fast.command[~slow], any_speed.command[~slow])
     assert np.array_equal(fast.command[:, 1:], any_speed.command[:, 1:])
     ahead = slow & (any_speed.command[:, 0] > 0)
-    assert speed[ahead] == pytest.approx(0.8)  # .4 of 2 m/s
+    assert speed[ahead] == pytest.approx(0.8)  # 0.4 of 2 m/s
     assert fast.command[slow & ~ahead, 0] == pytest.approx(-0.3)
 
 
-def test_a_ramp_lets_first_commands_grow() -> None:
+def test_a_ramp_scales_the_first_commands() -> None:
     config = CommandConfig(forward=(-1, 1), stand=0.0, ramp=10)
     sampler = CommandSampler(config, LIMITS, 500, seed=1)
     sampler.reset(np.arange(500))
-    assert np.abs(sampler.command[:, 0]).max() <= 0.2  # a tenth of the greatest, 2 m/s
+    assert np.abs(sampler.command[:, 0]).max() <= 0.2  # a tenth of the maximum, 2 m/s
 
 
 def test_a_schedule_holds_each_command_until_the_next() -> None:
@@ -124,7 +124,7 @@ def test_a_schedule_holds_each_command_until_the_next() -> None:
     assert schedule.at(2.0).tolist() == [2.0, 0.0, -1.0]
 
 
-def test_robots_follow_their_own_commands_in_turn() -> None:
+def test_robots_follow_the_rows_of_each_in_turn() -> None:
     config = CommandConfig(forward=(-1, 2), yaw_rate=(-1, 1), each=((0.5, 0.0, 0.0), (0.0, 0.0, 0.3)))
     source = config.make_generator(LIMITS, 3, seed=0)
     source.reset(np.arange(3))
@@ -133,12 +133,12 @@ def test_robots_follow_their_own_commands_in_turn() -> None:
     assert source.command[1].tolist() == [0.0, 0.0, 0.3]
 
 
-def test_a_schedule_and_commands_for_each_robot_are_not_given_together() -> None:
+def test_a_schedule_and_commands_for_each_robot_exclude_each_other() -> None:
     with pytest.raises(SurefootError, match=r"commands\.schedule and commands\.each are given"):
         CommandConfig(each=((0.5, 0.0, 0.0),), schedule=((0.0, 0.5, 0.0, 0.0),))
 
 
-def test_a_file_of_commands_is_read(tmp_path: Path) -> None:
+def test_a_command_file_is_read(tmp_path: Path) -> None:
     file = tmp_path / "commands.csv"
     file.write_text("time,forward,sideways,yaw_rate\n0,0.5,0,0\n\n2,0,0,1\n")
     assert read_schedule(file) == ((0.0, 0.5, 0.0, 0.0), (2.0, 0.0, 0.0, 1.0))
@@ -148,7 +148,7 @@ def test_a_file_of_commands_is_read(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", "its first line is"),
-        ("t,x\n0,1\n", "its first line is 't,x'; a file of commands is CSV"),
+        ("t,x\n0,1\n", "its first line is 't,x'; a command file is CSV"),
         ("time,forward,sideways,yaw_rate\n", "has no row"),
         ("time,forward,sideways,yaw_rate\n" + "0,1,0,0\n" * 130_000, "it has 1040031 bytes; at most 1000000 are read"),
         ("time," + "x" * 200_000, "field larger than field limit"),
@@ -161,7 +161,7 @@ def test_a_file_of_commands_is_read(tmp_path: Path) -> None:
         ("time,forward,sideways,yaw_rate\n1,1,0,0\n1,0,0,0\n", "row 2 is at 1 s; times start at 0 s or later"),
     ],
 )
-def test_a_file_that_holds_no_commands_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_a_file_without_commands_is_rejected(tmp_path: Path, text: str, message: str) -> None:
     file = tmp_path / "commands.csv"
     file.write_text(text)
     with pytest.raises(SurefootError, match=message):

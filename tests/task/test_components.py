@@ -1,4 +1,4 @@
-"""Components of an environment: which a task has, in which order they are called, and what a new one takes."""
+"""Components of an environment: their selection and order, and how to add a new one."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from exact_resume import assert_resumes_exactly
 from numpy.typing import NDArray
-from resuming import assert_resumes_exactly
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.task import components as registry
 from surefoot.task.component import Component, Privileged
@@ -39,7 +39,7 @@ def test_a_task_has_the_components_that_it_needs_and_no_others() -> None:
 
 
 @pytest.mark.parametrize("task", ["terrain-seeing", "terrain-robust", "steer-robust"])
-def test_no_two_components_save_state_under_one_name(task: str) -> None:
+def test_components_save_state_under_different_names(task: str) -> None:
     env = LocomotionEnv(load_task(task, "go2")[0], 2, SimWorld, threads=1)
     arrays = [*env.state.arrays(), *(name for one in env.components for name in one.arrays())]
     streams = [name for one in env.components for name in one.streams]
@@ -48,7 +48,7 @@ def test_no_two_components_save_state_under_one_name(task: str) -> None:
 
 
 class Load(Component):
-    """A load cell under each foot that reads its own height sum with noise, and remembers the last reading."""
+    """A load cell under each foot with noise and a memory of the last reading."""
 
     prefix = "load"
     changing = ("reading",)
@@ -91,20 +91,20 @@ class Load(Component):
 
 @pytest.fixture
 def with_load(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """Add a component of one's own to every environment; return the calls of its hooks."""
+    """Add a custom component to every environment, and return the calls of its hooks."""
     calls: list[str] = []
     made = registry.make_components
     monkeypatch.setattr("surefoot.task.env.make_components", lambda setup: [*made(setup), Load(calls)])
     return calls
 
 
-def test_a_new_component_needs_nothing_but_its_registration(with_load: list[str]) -> None:
+def test_a_new_component_only_needs_registration(with_load: list[str]) -> None:
     env = LocomotionEnv(replace(load_task("gallop")[0], max_steps=2), 2, ScriptedWorld)
     assert with_load == ["before_reset [0, 1]", "reset [0, 1]"]
     with_load.clear()
     env.world.tilt[1, 0] = 1.0
     *_, info = env.step(np.zeros((2, 8)))
-    # Robot 1 fell and was started again in the same step.
+    # Robot 1 fell and was reset in the same step.
     steps = ["before_step", "measure", "after_step (2,)", "before_reset [1]", "reset [1]"]
     assert with_load == steps
     reading = env.component(Load).reading
@@ -125,7 +125,7 @@ def test_a_new_component_is_part_of_an_exact_resume(with_load: list[str]) -> Non
     assert np.array_equal(env.step(action)[-1]["load"], first)
 
 
-def test_the_component_of_the_architecture_page_keeps_its_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_component_on_the_architecture_page_works(monkeypatch: pytest.MonkeyPatch) -> None:
     page = (Path(__file__).parents[2] / "docs" / "architecture.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"^```python\n(class .*?)^```", page, re.MULTILINE | re.DOTALL)
     exec(code, names_of_the_page := dict(globals()))

@@ -1,4 +1,4 @@
-"""Tasks as data: presets, YAML files, and what is refused."""
+"""Task configuration: presets, YAML files and errors."""
 
 from __future__ import annotations
 
@@ -36,26 +36,26 @@ def test_an_empty_table_gives_the_defaults_and_the_files_name(tmp_path):
     assert load(tmp_path, "{}\n") == TaskConfig(name="mine")
 
 
-def test_a_files_name_may_begin_with_a_robots(tmp_path, monkeypatch):
+def test_a_file_name_may_start_with_a_robot_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "go2-mine.yaml").write_text("{base: trot, robot: go2}")
     assert load_task("go2-mine.yaml")[0].name == "go2-mine"
     assert load_task("go2-mine.yaml")[0].robot == load_task("go2-trot")[0].robot
 
 
-def test_the_train_table_is_returned_as_it_is(tmp_path):
+def test_the_train_table_is_returned_unchanged(tmp_path):
     (tmp_path / "mine.yaml").write_text("train: {steps: 5, seed: 3}\n")
     assert load_task(str(tmp_path / "mine.yaml"))[1] == {"steps": 5, "seed": 3}
 
 
-def test_a_parameter_is_a_number_or_one_for_each_motor(tmp_path):
+def test_a_parameter_has_one_value_or_one_per_motor(tmp_path):
     config = load(tmp_path, "params: {voltage: 15, imu_bias: [0.1, -0.2]}\nparams_source: {file: a.toml}\n")
     assert config.params == {"voltage": 15.0, "imu_bias": (0.1, -0.2)}
     write_yaml(tmp_path / "again.yaml", config)
     assert load_task(str(tmp_path / "again.yaml"))[0] == config
 
 
-def test_a_tables_path_counts_from_the_tasks_file(tmp_path):
+def test_the_path_of_a_table_is_relative_to_the_task_file(tmp_path):
     config = load(tmp_path, "reference: {kind: table, file: sub/gait.csv, period: 0.5}\n")
     assert config.reference.file == str(tmp_path / "sub" / "gait.csv")
     assert config.reference.period == 0.5
@@ -88,8 +88,8 @@ def test_a_task_survives_writing_and_reading(tmp_path, name):
         ("pushes: {duration: 2}", ["pushes.duration is 2 s", "below pushes.period 1.2 s"]),
         ("params: {voltage: high}", ["params.voltage is 'high'", "a number"]),
         ("rest: 2", ["rest is 2", "a list of values, each a number or nothing"]),
-        ("", ["holds NoneType", "must be a table"]),
-        ("- a\n- b", ["holds list", "must be a table"]),
+        ("", ["contains NoneType", "must be a table"]),
+        ("- a\n- b", ["contains list", "must be a table"]),
         ("\t- x: {", ["is not YAML"]),
         ("robot: !!python/object:os.system x", ["is not YAML"]),
         ("base: waltz", ["base is 'waltz'", "choices: ", "trot"]),
@@ -100,7 +100,7 @@ def test_a_task_survives_writing_and_reading(tmp_path, name):
         ("reward_limits: {tilt: 1}", ["reward_limits.tilt is not a term of reward; choices: progress, energy"]),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path, text, pieces):
+def test_an_invalid_file_is_rejected_in_one_line(tmp_path, text, pieces):
     with pytest.raises(SurefootError) as caught:
         load(tmp_path, text + "\n")
     message = str(caught.value)
@@ -118,8 +118,10 @@ def test_an_unknown_task_names_the_presets():
         load_task("waltz")
 
 
-def test_beside_a_relative_reference_bounds_are_narrowed_to_what_legs_allow() -> None:
-    go2 = RobotDescription.load("go2")  # its legs reach .9 of their length; the reference .8, the feedback asks for .12
+def test_a_relative_reference_narrows_bounds_to_the_range_of_the_legs() -> None:
+    go2 = RobotDescription.load(
+        "go2"
+    )  # legs reach 0.9 of their length, the reference 0.8, and the feedback up to 0.12 more
     gait = load_task("trot", "go2")[0].gait(go2)
     (lowest, highest) = gait.reference.extent()[-1]
     assert gait.low[-1] == -0.12
@@ -127,14 +129,14 @@ def test_beside_a_relative_reference_bounds_are_narrowed_to_what_legs_allow() ->
     assert lowest + gait.low[-1] >= 0.35
 
 
-def test_feedback_on_commands_that_are_clipped_keeps_its_bounds() -> None:
+def test_bounds_of_feedback_are_kept_if_commands_are_clipped() -> None:
     robot = RobotDescription.load("go2")
     task = load_task("steer", "go2")[0]
     wide = FeedbackConfig(abduction=(-0.3, 0.3), swing=(-0.7, 0.7), extension=(-0.3, 0.9))
     gait = replace(task, feedback=wide).gait(robot)
     lowest, _ = gait.reference.extent()[-1]
     np.testing.assert_allclose(gait.low[::4], [-0.3, -0.7, -0.3])
-    # Beyond what stretches the shortest leg of the reference to .9, more is of no use.
+    # Feedback that stretches the shortest leg of the reference beyond 0.9 is useless.
     np.testing.assert_allclose(gait.high[::4], [0.3, 0.7, 0.9 - lowest])
     state = CommandState(np.zeros((2, 3)), np.ones(2), np.array([0.1, 0.8]))
     for end in (gait.low, gait.high):
@@ -143,7 +145,7 @@ def test_feedback_on_commands_that_are_clipped_keeps_its_bounds() -> None:
         assert poses[:, -1].max() < 0.9 + 1e-9
 
 
-def test_the_base_of_a_robots_task_is_its_own_task_of_that_name():
+def test_the_base_of_a_robots_task_is_the_robots_own_task():
     steer, robust, preset = load_task("steer", "go2")[0], load_task("steer-robust", "go2")[0], load_task("steer")[0]
     assert robust.reference == steer.reference != preset.reference
     assert robust.params == steer.params
@@ -151,7 +153,7 @@ def test_the_base_of_a_robots_task_is_its_own_task_of_that_name():
     assert not steer.randomize
 
 
-def test_the_base_of_a_file_is_the_own_task_of_the_robot_it_names(tmp_path: Path) -> None:
+def test_the_base_of_a_file_is_the_own_task_of_its_robot(tmp_path: Path) -> None:
     robust = load_task("steer-robust", "go2")[0]
     assert load(tmp_path, "base: steer-robust\nrobot: go2\n") == replace(robust, name="mine")
     assert load(tmp_path, "base: steer\n") == replace(load_task("steer", "solo8")[0], name="mine", robot="minitaur")
@@ -164,7 +166,7 @@ def test_a_task_with_a_reference_of_another_kind_than_its_base_drops_the_keys_of
         load(tmp_path, "base: trot\nrobot: go2\nreference: {kind: sine, foot: {height: 0.1}}\n")
 
 
-def test_a_task_lays_its_own_values_over_those_of_its_base(tmp_path: Path) -> None:
+def test_a_task_overrides_values_of_its_base(tmp_path: Path) -> None:
     base = load_task("trot", "go2")[0]
     changed = "base: trot\nrobot: go2\nreference: {foot: {height: 0.7}}\nmax_steps: 7\ntrain: {steps: 5}\n"
     (tmp_path / "mine.yaml").write_text(changed)

@@ -1,4 +1,4 @@
-"""Lift by touch: feet that meet something in their swing are lifted further, and forget it."""
+"""Contact reflex: feet that hit an obstacle in swing are lifted higher for some strides."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from resuming import assert_resumes_exactly
+from exact_resume import assert_resumes_exactly
 
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError
@@ -26,7 +26,7 @@ STEP = np.array([0.016])
 
 
 def lifting_task(most: float = 0.3, clearance: float = 0.25) -> TaskConfig:
-    """Return the task `terrain` of a Go2 that lifts feet further by so many lengths of the leg at most."""
+    """Return the task `terrain` of a Go2 with a maximum additional lift, in lengths of the leg."""
     reference = {"touch_clearance": most, "foot": {"clearance": clearance}}
     return from_mapping(TaskConfig, {"reference": reference}, base=load_task("terrain", "go2")[0])
 
@@ -39,25 +39,25 @@ def reference() -> FollowingReference:
 
 
 def walking(phase: float, forward: float = 0.5) -> CommandState:
-    """Return a robot that walks ahead; the left front foot swings from .6 to 1, the right one from .1 to .5."""
+    """Return a state of walking forward; the left front foot swings from phase 0.6 to 1, the right from 0.1 to 0.5."""
     return CommandState(np.array([[forward, 0.0, 0.0]]), np.ones(1), np.array([phase]))
 
 
 def angles(reference: FollowingReference, ahead: float = 0.0) -> np.ndarray:
-    """Return motor angles (1, M) of feet some way [m] ahead of the reference's places."""
-    return GO2.to_motors(GO2.leg_geometry.foot_pose(reference.places + np.array([ahead, 0.0, 0.0]))[None])
+    """Return motor angles (1, M) of feet at a distance [m] ahead of their neutral positions."""
+    return GO2.to_motors(GO2.leg_geometry.foot_pose(reference.neutral_feet + np.array([ahead, 0.0, 0.0]))[None])
 
 
 def hold_behind(reference: FollowingReference, behind: float, steps: int, **changes: float) -> ContactReflex:
-    """Return what robots do in whose swing feet are so far [m] behind their commands for some control steps."""
+    """Return the reflex after control steps in which swinging feet lag behind their commands by a distance [m]."""
     touch = ContactReflex(reference, 1)
     for _ in range(steps + 1):
         touch.update(angles(reference, behind), angles(reference), walking(0.8, **changes), STEP)
     return touch
 
 
-def test_over_holes_no_foot_is_lifted_further(reference):
-    # It goes to footholds far beside its stride, and is behind without having met anything.
+def test_there_is_no_contact_reflex_over_holes(reference):
+    # Feet swing to distant footholds and lag without contact.
     touch = ContactReflex(reference, 1)
     for _ in range(11):
         state = replace(walking(0.8), over_holes=np.array([0.1]))
@@ -65,14 +65,14 @@ def test_over_holes_no_foot_is_lifted_further(reference):
     assert not touch.lift.any()
 
 
-def test_a_foot_that_is_held_back_is_lifted_further(reference):
-    # A low-pass filter of .2 sqrt(l / g), in steps of 16 ms: what is missing shrinks by a share of .384 in each.
+def test_a_blocked_foot_is_lifted_higher(reference):
+    # A low-pass filter of 0.2 sqrt(l / g), in steps of 16 ms: the difference shrinks by a factor of 0.384 in each.
     share = 0.016 / (0.2 * NATURAL)
     seen = [hold_behind(reference, 0.08, steps) for steps in range(1, 5)]
     assert [float(touch.behind[0, FRONT_LEFT]) for touch in seen] == pytest.approx(
         [0.08 * (1 - (1 - share) ** steps) for steps in range(1, 5)]
     )
-    # .12 l is .051 m; passed in the third step. The lift grows by 1.7 l in sqrt(l / g), up to .3 l.
+    # The threshold 0.12 l = 0.051 m is passed in the third step. The lift grows by 1.7 l in sqrt(l / g), up to 0.3 l.
     rise = 1.7 * LENGTH * 0.016 / NATURAL
     assert [float(touch.lift[0, FRONT_LEFT]) for touch in seen] == pytest.approx([0.0, 0.0, rise, 2 * rise])
     assert hold_behind(reference, 0.08, 40).lift[0, FRONT_LEFT] == pytest.approx(0.3 * LENGTH)
@@ -80,20 +80,20 @@ def test_a_foot_that_is_held_back_is_lifted_further(reference):
     assert not hold_behind(reference, 0.04, 40).lift.any()  # soft legs lag
 
 
-def test_what_is_behind_counts_in_the_direction_of_the_stride(reference):
+def test_only_lag_along_the_stride_counts(reference):
     assert hold_behind(reference, -0.08, 40, forward=-0.3).lift[0, FRONT_LEFT] > 0.0
     assert not hold_behind(reference, 0.08, 40, forward=-0.3).lift.any()
-    assert not hold_behind(reference, 0.08, 40, forward=0.0).lift.any()  # on the spot nothing is met
+    assert not hold_behind(reference, 0.08, 40, forward=0.0).lift.any()  # no contact is detected when stepping in place
 
 
-def test_actuators_have_a_control_step_to_follow(reference):
+def test_lag_is_relative_to_the_second_to_last_command(reference):
     touch = ContactReflex(reference, 1)
     for k in range(20):
         touch.update(angles(reference, 0.01 * k), angles(reference, 0.01 * (k - 1)), walking(0.8), STEP)
     assert touch.behind[0, FRONT_LEFT] == pytest.approx(0.0, abs=1e-5)
 
 
-def test_the_lift_is_forgotten_in_stance(reference):
+def test_the_lift_decays_in_stance(reference):
     touch = hold_behind(reference, 0.08, 40)
     for _ in range(10):
         touch.update(angles(reference), angles(reference), walking(0.3), STEP)
@@ -103,7 +103,7 @@ def test_the_lift_is_forgotten_in_stance(reference):
     assert not touch.behind.any()
 
 
-def test_the_reference_has_the_lift_soon_and_gives_it_back_at_the_end(reference):
+def test_lift_rises_early_in_swing_and_ends_with_it(reference):
     legs, heights = GO2.leg_geometry, []
     for phase in (0.3, 0.6 + 0.4 * 0.1, 0.8, 1.0 - 1e-9):
         pair = []
@@ -114,21 +114,21 @@ def test_the_reference_has_the_lift_soon_and_gives_it_back_at_the_end(reference)
     assert heights == pytest.approx([0.0, 0.05, 0.1, 0.0], abs=1e-6)
 
 
-def test_feet_that_are_lifted_come_back_to_their_leg(reference):
+def test_lifted_feet_move_below_their_hips(reference):
     lift = np.full((1, 4), 0.3 * LENGTH)
-    beside = []
+    offsets = []
     for phase in (0.65, 0.95):
         state = replace(walking(phase), command=np.array([[0.0, 0.3, 0.0]]))
         pair = [reference.pose(0.0, one) for one in (state, replace(state, lift=lift), replace(state, lift=lift / 3))]
         feet = [GO2.leg_geometry.foot_position(GO2.leg_geometry.to_motors(pose))[0, FRONT_LEFT, 1] for pose in pair]
-        beside.append(np.array(feet) - reference.places[FRONT_LEFT, 1])
-    for (free, high, low), share in zip(beside, (0.125 / 0.2, 0.125 / 0.25), strict=True):
+        offsets.append(np.array(feet) - reference.neutral_feet[FRONT_LEFT, 1])
+    for (free, high, low), share in zip(offsets, (0.125 / 0.2, 0.125 / 0.25), strict=True):
         assert abs(free) > 0.01
         assert high == pytest.approx((1 - share) * free, abs=1e-5)
         assert low == pytest.approx((1 - share / 3) * free, abs=1e-5)
 
 
-def test_every_stride_of_a_high_lift_is_in_reach():
+def test_all_strides_with_high_lift_are_in_reach():
     made = lifting_task(0.44).gait(GO2).reference
     count = 500
     random = np.random.default_rng(0)
@@ -138,7 +138,7 @@ def test_every_stride_of_a_high_lift_is_in_reach():
     assert np.isfinite(made.pose(0.0, replace(state, lift=random.uniform(0, 0.44 * LENGTH, (count, 4))))).all()
 
 
-def test_feet_are_not_lifted_to_their_motors():
+def test_a_lift_up_to_the_motors_is_rejected():
     with pytest.raises(
         SurefootError, match=r"lifts feet by 0\.192 m, up to their motors: .* less than height, 0\.298 m"
     ):
@@ -146,7 +146,7 @@ def test_feet_are_not_lifted_to_their_motors():
 
 
 def on(ground: str, steps: int) -> LocomotionEnv:
-    """Return robots after some control steps of the reference alone."""
+    """Return robots after some control steps without feedback."""
     task = lifting_task(clearance=0.12)
     task = replace(task, randomize={}, terrain=replace(task.terrain, sizes={}, shares={}, ground=ground))
     env = LocomotionEnv(task, 4, SimWorld, seed=3, threads=1)
@@ -156,19 +156,19 @@ def on(ground: str, steps: int) -> LocomotionEnv:
     return env
 
 
-def test_robots_meet_steps_and_go_on_exactly_from_a_state():
+def test_robots_hit_steps_and_resume_exactly():
     env = on("stairs:0.1", 250)
     action = np.zeros((4, len(env.gait.action_names)))
     assert_resumes_exactly(env, [action] * 20)
     assert env.component(ContactReflex).lift.any()
 
 
-def test_robots_meet_nothing_on_level_ground():
+def test_robots_detect_no_contact_on_level_ground():
     env = on("flat", 250)
     assert not env.component(ContactReflex).lift.any()
 
 
-def test_a_gait_without_lift_by_touch_has_none():
+def test_a_gait_without_touch_clearance_has_no_reflex():
     env = LocomotionEnv(lifting_task(0.0), 1, SimWorld, threads=1)
     assert not any(isinstance(component, ContactReflex) for component in env.components)
     assert env.state.gait_state.lift is None

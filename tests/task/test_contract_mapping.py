@@ -1,4 +1,4 @@
-"""The contract of a task's policy, and the task that is read from it."""
+"""Contracts made from tasks, and tasks made from contracts."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ pytest.importorskip("gymnasium")
 from surefoot.api.policies import find_policy
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
-from surefoot.policy.contract import Contract, stated_fields
+from surefoot.policy.contract import Contract, contract_fields
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.contract_mapping import contract_from_task, make_contract, task_from_contract
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.height_scan import MAP, ScanConfig
+from surefoot.task.height_scan import POLICY_GRID, ScanConfig
 from surefoot.task.reference_config import TableReferenceConfig
 from surefoot.task.terrain import TerrainConfig
 from surefoot.world.sim_world import SimWorld
@@ -29,7 +29,7 @@ ROBOT = RobotDescription.load("minitaur")
 
 
 def contract_of(task: TaskConfig) -> Contract:
-    """Return the contract of a task's policy, written and read."""
+    """Return the contract of a task's policy after a round trip through its file."""
     return Contract.from_json(make_contract(LocomotionEnv(task, 1, SimWorld)).to_json())
 
 
@@ -41,13 +41,13 @@ def test_an_environment_of_the_task_of_a_contract_has_the_same_contract(task: st
     assert contract_of(again) == replace(contract, config_hash=contract_of(again).config_hash)
 
 
-def test_the_contract_of_a_policy_that_sees_the_ground_has_grid_and_age_of_its_map():
+def test_the_contract_of_a_perceptive_policy_has_grid_and_age_of_its_map():
     task = load_task("trot")[0]
     scan = ScanConfig(noise=0.03, delay=5)
     task = replace(task, observations=(*task.observations, "height_scan"), terrain=TerrainConfig(scan=scan))
     contract = contract_of(task)
     assert contract.height_map is not None
-    assert (contract.height_map.ahead, contract.height_map.left) == MAP.scale(ROBOT)
+    assert (contract.height_map.ahead, contract.height_map.left) == POLICY_GRID.scale(ROBOT)
     assert contract.height_map.age == pytest.approx(5 * 0.006)
     assert contract.task["terrain"]["scan"] == {"noise": 0.03, "drift": 0.02, "shift": 0.02, "holes": 0.02}
     assert task_from_contract(contract, ROBOT).terrain.scan == scan
@@ -62,7 +62,7 @@ def test_the_task_of_a_contract_has_the_parameters_of_training():
 
 
 @pytest.mark.parametrize("policy", ["go2-steer", "pupper_v2-trot", "solo8-scratch", "gallop"])
-def test_a_policy_that_ships_states_each_fact_once(policy: str):
+def test_a_released_policy_states_each_fact_once(policy: str):
     contract = PolicyRuntime.load(find_policy(policy)).contract
     again = make_contract(LocomotionEnv(task_from_contract(contract), 1, SimWorld))
     for name in ("reference", "low", "high", "rest", "commands", "columns", "servo_kp", "servo_kd", "control_step"):
@@ -80,11 +80,11 @@ def test_a_table_comes_from_the_contract_and_not_from_its_file(tmp_path: Path):
     assert np.allclose(again.pose([0.125])[:, 1], 2.0)
 
 
-def test_the_fields_that_a_task_marks_stand_outside_of_the_contracts_task():
+def test_stated_fields_are_not_in_the_contracts_task():
     task = load_task("terrain-seeing", "go2")[0]
     robot = RobotDescription.load("go2")
     contract, whole = contract_from_task(task, robot), to_mapping(task)
-    stated = stated_fields(TaskConfig)
+    stated = contract_fields(TaskConfig)
     assert {name for name in whole if name not in contract.task} == {name for name in stated if "." not in name}
     for table in ("commands", "params"):
         missing = {f"{table}.{key}" for key in whole[table] if key not in contract.task[table]}
@@ -92,7 +92,7 @@ def test_the_fields_that_a_task_marks_stand_outside_of_the_contracts_task():
 
 
 @pytest.mark.parametrize(("table", "key"), [("commands", "forward"), ("params", "control_step"), ("", "history")])
-def test_a_contract_that_states_a_field_again_in_its_task_is_refused(table: str, key: str):
+def test_a_contract_that_states_a_field_again_in_its_task_is_rejected(table: str, key: str):
     contract = PolicyRuntime.load(find_policy("go2-steer")).contract
     task = {**contract.task, table: {**contract.task[table], key: 1}} if table else {**contract.task, key: 1}
     name = f"task.{table}.{key}" if table else f"task.{key}"
@@ -100,7 +100,7 @@ def test_a_contract_that_states_a_field_again_in_its_task_is_refused(table: str,
         task_from_contract(replace(contract, task=task))
 
 
-def test_a_task_with_an_unknown_key_is_refused():
+def test_a_task_with_an_unknown_key_is_rejected():
     contract = PolicyRuntime.load(find_policy("trot")).contract
     with pytest.raises(SurefootError, match=r"task.colour is not a key"):
         task_from_contract(replace(contract, task={**contract.task, "colour": "red"}))

@@ -1,4 +1,4 @@
-"""`LocomotionEnv` on a scripted world, whose answers are known, and on MuJoCo."""
+"""`LocomotionEnv` in a scripted world with known answers, and in MuJoCo."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.errors import SurefootError
 from surefoot.task.config import FeedbackConfig, TaskConfig, load_task
@@ -23,7 +23,7 @@ FEEDBACK = FeedbackConfig(swing=(-0.5, 0.5), extension=(1.0, 2.0))
 
 @pytest.fixture
 def make_env():
-    """Make an environment on the scripted world; keywords are the task's, or with `env_` its own."""
+    """Make an environment in the scripted world; keywords are fields of the task or, with `env_`, arguments."""
 
     def make(num_envs: int = 2, **values) -> LocomotionEnv:
         options = {key.removeprefix("env_"): values.pop(key) for key in list(values) if key.startswith("env_")}
@@ -69,7 +69,7 @@ def test_a_returned_observation_does_not_change(make_env):
 # --- reward and ends --------------------------------------------------------------------------------------
 
 
-def test_an_episode_is_truncated_after_its_steps_and_has_its_figures(make_env):
+def test_an_episode_is_truncated_after_its_steps_and_has_metrics(make_env):
     env = make_env(2, max_steps=3, reward={"progress": 1.0, "energy": -0.01})
     env.reset()
     for k, speed in enumerate((0.0, 1.0, 2.0)):
@@ -79,7 +79,7 @@ def test_an_episode_is_truncated_after_its_steps_and_has_its_figures(make_env):
         assert not terminated.any()
         assert truncated.tolist() == [k == 2] * 2
         assert bool(info) == (k == 2)
-    # Of 6 ms each at 0, 1 and 2 m/s, with 100 W throughout; .01 m/J.
+    # Steps of 6 ms at 0, 1 and 2 m/s with 100 W and 0.01 m/J.
     np.testing.assert_allclose(info["figures"]["return"], (0.0, -0.018), atol=1e-15)
     np.testing.assert_allclose(info["figures"]["distance"], (0.018, 0.0))
     np.testing.assert_allclose(info["figures"]["steps"], 3)
@@ -87,7 +87,7 @@ def test_an_episode_is_truncated_after_its_steps_and_has_its_figures(make_env):
     assert info["_figures"].tolist() == [True, True]
 
 
-def test_a_fall_terminates_and_only_that_robot_starts_anew(make_env):
+def test_a_fall_terminates_and_resets_only_that_robot(make_env):
     env = make_env(3)
     env.reset()
     env.step(np.ones((3, 8)))
@@ -97,9 +97,9 @@ def test_a_fall_terminates_and_only_that_robot_starts_anew(make_env):
     assert not truncated.any()
     assert info["_figures"].tolist() == info["_final_obs"].tolist() == [False, True, False]
     assert info["figures"]["steps"].tolist() == [0, 2, 0]
-    # The last observation of the old episode: motors at feedback's upper bound, theta = 2 +- .5.
+    # The last observation of the old episode: motors at the upper bound of the feedback, theta = 2 +- 0.5.
     assert sorted(set(info["final_obs"][1, 4:].tolist())) == [1.5, 2.5]
-    # The first one of the new episode: motors where this world's reset puts them.
+    # The first observation of the new episode: motors at their angles after a reset of this world.
     assert not observation[1, 4:].any()
     assert env.state.steps.tolist() == [2, 0, 2]
 
@@ -167,18 +167,18 @@ def test_actions_become_motor_angles_at_the_robots_own_time(make_env):
     env.reset()
     for k in range(5):
         env.step(rest(env))
-        # The command of step k is the reference's at its start.
+        # The command of step k is the reference at the start of the step.
         swing = 0.3 * np.sin(4 * np.pi * k * 0.006)
         assert env.world.angles[0, 1] == pytest.approx(2.0 + swing)
         assert env.world.angles[0, 0] == pytest.approx(2.0 - swing)
 
 
-def test_robots_settle_in_the_middle_of_their_commands(make_env):
+def test_robots_settle_in_the_middle_of_their_range(make_env):
     assert make_env().world.config.rest == pytest.approx((0.0, 1.5))
     assert make_env(rest=(0.1, 1.8)).world.config.rest == (0.1, 1.8)
 
 
-def test_params_of_the_task_reach_the_world(make_env):
+def test_params_of_the_task_are_set_in_the_world(make_env):
     env = make_env(3, params={"voltage": 15.0})
     assert env.world.params.voltage.tolist() == [15.0] * 3
     with pytest.raises(SurefootError, match="'volts' is not a physical parameter"):
@@ -186,8 +186,8 @@ def test_params_of_the_task_reach_the_world(make_env):
 
 
 @pytest.mark.parametrize("num_envs", [1, 2, 3, 8])
-def test_params_by_motor_hold_for_every_robot(make_env, num_envs: int):
-    # As many robots as motors, or as axes: a list is one robot's all the same.
+def test_params_by_motor_apply_to_every_robot(make_env, num_envs: int):
+    # Even with as many robots as motors or axes, a list has the values of one robot.
     strength = tuple(np.linspace(0.9, 1.04, 8))
     env = make_env(num_envs, params={"motor_strength": strength, "imu_bias": (0.1, -0.2), "voltage": (15.0,)})
     np.testing.assert_array_equal(env.world.params.motor_strength, np.tile(strength, (num_envs, 1)))
@@ -240,7 +240,7 @@ def test_the_first_observation_is_of_a_standing_robot():
 
 @pytest.mark.parametrize(("height", "fallen"), [(0.0, False), (0.19, False), (0.21, True)])
 def test_a_base_below_the_fall_height_ends_the_episode(height, fallen):
-    # The scripted base is .2 m high.
+    # The scripted base is 0.2 m high.
     env = LocomotionEnv(replace(load_task("trot")[0], fall_height=height), 2, ScriptedWorld, autoreset=False)
     env.reset()
     assert env.step(np.zeros((2, 8)))[2].tolist() == [fallen] * 2
@@ -254,13 +254,13 @@ def test_a_base_below_the_fall_height_ends_the_episode(height, fallen):
     [{"hold": (0.1, 0.3), "ramp": 3}, {"schedule": ((0.1, 0.3, 0.0, 0.0), (0.4, 0.0, 0.0, 0.5))}],
     ids=["drawn", "scheduled"],
 )
-def test_robots_that_follow_commands_go_on_exactly_from_a_state(commands):
+def test_robots_with_commands_resume_exactly(commands):
     task = load_task("steer", "go2")[0]
     task = replace(task, max_steps=25, commands=replace(task.commands, **commands))
     env, other = (LocomotionEnv(task, 2, SimWorld, seed, threads=1) for seed in (1, 2))
 
     def run(one: LocomotionEnv) -> list[np.ndarray]:
-        """Take 30 steps, over the end of an episode; return observations, rewards and commands."""
+        """Take 30 steps, beyond the end of an episode; return observations, rewards and commands."""
         path = []
         for _ in range(30):
             observation, reward, *_ = one.step(np.zeros((2, 12)))
@@ -271,7 +271,7 @@ def test_robots_that_follow_commands_go_on_exactly_from_a_state(commands):
     run(env)
     state = env.get_state()
     path = run(env)
-    # The gait was under way, and commands changed.
+    # The gait was active, and commands changed.
     assert np.ptp(np.stack(path[2::6]), axis=0).max() > 0.1
     for one in (other, env):
         one.set_state(state)

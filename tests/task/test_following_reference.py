@@ -27,12 +27,12 @@ def reference_of(name: str) -> FollowingReference:
 
 
 def state(command: tuple[float, float, float], activity: float = 1.0, phases: int = 200) -> CommandState:
-    """Return one cycle under a command."""
+    """Return the states of one cycle with a command."""
     return CommandState(np.tile(command, (phases, 1)), np.full(phases, activity), np.arange(phases) / phases)
 
 
 def feet(reference: FollowingReference, command_state: CommandState) -> np.ndarray:
-    """Return where feet are (phases, L, 3) [m] from the legs' mounts."""
+    """Return foot positions relative to the legs' mounts (phases, L, 3) [m]."""
     robot = reference.robot
     angles = robot.leg_geometry.to_motors(reference.pose(0.0, command_state))
     return robot.leg_geometry.foot_position(angles)
@@ -55,18 +55,18 @@ def test_feet_go_sideways_by_abduction() -> None:
     place = feet(reference, state((0.0, 0.2, 0.0)))
     span = np.ptp(place, axis=0)
     stride = reference.choice.stride_gain * 0.2 * 0.6 / reference.frequency(np.array([[0.0, 0.2, 0.0]]))[0]
-    assert span[:, 1].min() >= stride  # the swing goes a little beyond both ends
+    assert span[:, 1].min() >= stride  # the swing overshoots both ends a little
     assert span[:, 1].max() < 1.3 * stride
     assert span[:, 0].max() < 1e-9
 
 
-def test_turning_moves_the_feet_of_the_left_backward_of_the_right() -> None:
+def test_turning_moves_left_and_right_feet_in_opposite_directions() -> None:
     reference = reference_of("minitaur")
-    x, y = reference.robot.leg_mounts[:, 0], reference.robot.leg_mounts[:, 1] + reference.places[:, 1]
+    x, y = reference.robot.leg_mounts[:, 0], reference.robot.leg_mounts[:, 1] + reference.neutral_feet[:, 1]
     command = np.array([[0.0, 0.0, 0.1]])
     stride = reference.strides(command)[0]
     stance = reference.feet.duty_factor / reference.frequency(command)[0]
-    # w x r has -w y forward; legs without abduction can't follow the part to the side.
+    # The forward component of w x r is -w y; legs without abduction can't follow the lateral component.
     assert stride[:, 0] == pytest.approx(-0.1 * reference.choice.turn_gain * y * reference.choice.stride_gain * stance)
     assert not stride[:, 1].any()
     assert (stride[y > 0, 0] < 0).all()
@@ -78,15 +78,15 @@ def test_turning_moves_the_feet_of_the_left_backward_of_the_right() -> None:
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_a_robot_that_stands_keeps_its_feet_where_they_are(name: str) -> None:
+def test_a_standing_robot_keeps_its_feet_in_place(name: str) -> None:
     reference = reference_of(name)
     still = feet(reference, state((0.0, 0.0, 0.0), activity=0.0))
     assert np.ptp(still, axis=0) == pytest.approx(0.0, abs=1e-12)
-    assert still[0] == pytest.approx(reference.places, abs=1e-9)
+    assert still[0] == pytest.approx(reference.neutral_feet, abs=1e-9)
 
 
 def changed(name: str, params: dict[str, float] | None = None, **reference: float) -> HybridGait:
-    """Return the gait of the task `steer` for a robot, with other numbers in its reference."""
+    """Return the gait of the task `steer` for a robot, with changes to its reference."""
     data = {"reference": reference, "params": params or {}}
     return from_mapping(TaskConfig, data, base=load_task("steer", name)[0]).gait(RobotDescription.load(name))
 
@@ -97,12 +97,14 @@ def test_clearance_and_height_follow_the_command() -> None:
         heights = feet(reference, state((speed, 0.0, 0.0), phases=2000))[:, :, 2]
         sunk = 0.1 * share * reference.feet.height
         assert heights.max(axis=0) == pytest.approx(
-            reference.places[:, 2] + reference.feet.clearance * (1 + 0.5 * share) + sunk, abs=1e-4
+            reference.neutral_feet[:, 2] + reference.feet.clearance * (1 + 0.5 * share) + sunk, abs=1e-4
         )
-        assert heights.min(axis=0) == pytest.approx(reference.places[:, 2] - reference.feet.depth + sunk, abs=1e-4)
+        assert heights.min(axis=0) == pytest.approx(
+            reference.neutral_feet[:, 2] - reference.feet.depth + sunk, abs=1e-4
+        )
 
 
-def test_commands_lead_by_what_the_weight_bends_the_actuators() -> None:
+def test_weight_feedforward_compensates_deflection() -> None:
     gait, plain = changed("go2", {"servo_kp": 30.0}, weight_feedforward=1.0), changed("go2", {"servo_kp": 30.0})
     robot, kp = gait.robot, 30.0
     index, feedback = robot.leg_motor_index, np.zeros((1, 12))
@@ -110,21 +112,21 @@ def test_commands_lead_by_what_the_weight_bends_the_actuators() -> None:
         one = CommandState(np.zeros((1, 3)), np.array([activity]), np.array([phase]))
         targets, there = (each.motor_targets(np.zeros(1), feedback, one)[0] for each in (gait, plain))
         torque = kp * (targets - there)[index]
-        # Virtual work: torques that carry F do F dz against it as motors turn.
+        # Virtual work: torques that carry F do the work F dz as motors turn.
         turn = 1e-6 * np.array([[0.3, -1.0, 0.7]])
         move = robot.leg_geometry.foot_position(there[index] + turn) - robot.leg_geometry.foot_position(there[index])
         work = np.array(carrying) * robot.weight * -move[:, 2]
         assert (torque * turn).sum(axis=1) == pytest.approx(work, rel=1e-4, abs=1e-9)
 
 
-def test_commands_lead_by_the_gains_of_the_task() -> None:
+def test_velocity_feedforward_is_the_tasks_gain() -> None:
     lead = changed("go2", {"servo_kp": 30.0, "servo_kd": 0.6}).reference.feedforward.velocity
-    assert lead == pytest.approx(0.8 * 0.6 / 30.0)  # of which the robot's task has .8
+    assert lead == pytest.approx(0.8 * 0.6 / 30.0)  # 0.8 in the task, times k_d / k_p
     assert reference_of("go2").feedforward.velocity == pytest.approx(0.8 * 1.0 / 40.0)
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_every_command_is_within_the_extent_and_the_legs_reach(name: str) -> None:
+def test_all_commands_are_within_extent_and_reach(name: str) -> None:
     reference, random = reference_of(name), np.random.default_rng(1)
     low, high = reference.limits.low, reference.limits.high
     command = low + random.uniform(size=(500, 3)) * (high - low)
@@ -135,7 +137,7 @@ def test_every_command_is_within_the_extent_and_the_legs_reach(name: str) -> Non
         assert values.max() <= most + 2e-3
 
 
-def test_the_longest_stride_holds_with_its_frequency() -> None:
+def test_the_maximum_stride_applies_with_its_frequency() -> None:
     reference = reference_of("go2")
     reference = replace(reference, choice=replace(reference.choice, frequency_rise=0.5))
     fast = np.array([[50.0, 0.0, 0.0]])
@@ -151,7 +153,7 @@ def test_reference_of_a_contract_is_the_same_gait() -> None:
     assert again.pose(0.0, command_state) == pytest.approx(reference.pose(0.0, command_state), abs=1e-12)
 
 
-def test_a_stride_out_of_reach_is_refused() -> None:
+def test_a_stride_out_of_reach_is_rejected() -> None:
     reference = reference_of("go2")
     data = reference.to_dict()
     data["foot"]["stroke"] = dict.fromkeys(reference.feet.legs, 0.8)

@@ -1,4 +1,4 @@
-"""Paths of feet: known places, speeds, phases of the legs, and robots with paths of their own."""
+"""Foot trajectories: positions, speeds, phases of the legs, and batches of different trajectories."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ FEET = {
 
 
 def foot_paths(**other: Any) -> FootPaths:
-    """Return foot trajectories without differences between the legs."""
+    """Return foot trajectories that are equal for all legs."""
     reference = read_reference({"kind": "foot", "foot": FEET | other}, ROBOT)
     assert isinstance(reference, FootReference)
     return reference.feet
 
 
-# Touchdown at .01 + .05 m in front of the motors; stance ends after 60 % of the cycle, .05 m behind .01 m.
+# Touchdown at 0.01 + 0.05 m in front of the motors; stance ends after 60 % of the cycle, 0.05 m behind 0.01 m.
 @pytest.mark.parametrize(
     ("cycle", "x", "z"),
     [
@@ -38,11 +38,11 @@ def foot_paths(**other: Any) -> FootPaths:
         (1.0, 0.06, -0.2),
     ],
 )
-def test_a_foot_at_known_parts_of_its_cycle(cycle: float, x: float, z: float):
+def test_foot_positions_at_known_phases(cycle: float, x: float, z: float):
     np.testing.assert_allclose(foot_paths().path([cycle]), np.tile([x, z], (1, 4, 1)), atol=1e-12)
 
 
-def test_a_foot_is_as_fast_at_both_ends_of_its_swing_as_in_stance():
+def test_foot_speed_is_continuous_between_swing_and_stance():
     reference = foot_paths()
     assert reference.speed[0] == pytest.approx(0.1 * 2.0 / 0.6)
     for cycle in (0.3, 0.6 - 1e-6, 0.6 + 1e-6, 1.0 - 1e-6):
@@ -50,14 +50,14 @@ def test_a_foot_is_as_fast_at_both_ends_of_its_swing_as_in_stance():
         assert 2.0 * (ahead - behind) / 2e-7 == pytest.approx(-reference.speed[0], rel=1e-3)
 
 
-def test_each_leg_begins_its_cycle_at_its_own_phase():
+def test_each_leg_has_its_own_phase():
     phase = dict(zip(ROBOT.leg_names, (0.0, 0.25, 0.5, 1.75), strict=True))
     path, unshifted = foot_paths(phase=phase).path([0.3])[0], foot_paths()
     for leg, shift in enumerate(phase.values()):
         np.testing.assert_allclose(path[leg], unshifted.path([0.3 - shift])[0, 0], atol=1e-12)
 
 
-def test_legs_bring_the_feet_to_their_paths():
+def test_leg_poses_put_feet_on_their_paths():
     reference, time = foot_paths(), np.linspace(0.0, 0.7, 50)
     pose = reference.pose(time)
     assert pose.shape == (50, 2, 4)
@@ -71,9 +71,9 @@ def test_legs_bring_the_feet_to_their_paths():
     assert reference.period == 0.5
 
 
-def test_robots_may_have_paths_of_their_own():
+def test_robots_may_have_different_paths():
     one, other = foot_paths(), foot_paths(frequency=3.0, stroke=0.05, duty_factor=0.5)
-    both = FootPaths.stacked([one, other])
+    both = FootPaths.stack([one, other])
     pose = both.pose([0.21, 0.21])
     for row, single in enumerate((one, other)):
         np.testing.assert_allclose(pose[row], single.pose([0.21])[0], atol=1e-12)

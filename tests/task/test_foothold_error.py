@@ -1,4 +1,4 @@
-"""Error of touchdowns relative to their footholds, worked by hand."""
+"""Foothold errors, worked by hand."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def seeing_task() -> TaskConfig:
 
 
 class Walk:
-    """A robot that stands in the world with a yaw, whose feet are where its reference has them at a phase."""
+    """A robot at rest with a yaw angle, whose feet are at the positions of its reference at a phase."""
 
     def __init__(self, yaw: float = 0.0) -> None:
         task = seeing_task()
@@ -47,40 +47,40 @@ class Walk:
         )
 
     def state(self, part: float) -> CommandState:
-        """Return a robot on the spot whose front left foot has done a part of its swing; less than 0: it stands."""
+        """Return the state of stepping in place at a swing phase of the front left foot, negative in stance."""
         duty = float(self.reference.feet.duty_factor[FRONT_LEFT])
         phase = float(self.reference.feet.phase[FRONT_LEFT]) + duty + part * (1.0 - duty)
         return CommandState(np.zeros((1, 3)), np.ones(1), np.array([phase % 1.0]))
 
-    def standing(self, beside: tuple[float, float]) -> SimState:
-        """Return the truth with all feet on the ground, in the heading frame beside their places [m]."""
-        foot = self.reference.places + np.array([*beside, 0.0])
+    def standing(self, offset: tuple[float, float]) -> SimState:
+        """Return the true state with all feet on the ground at an offset [m] from neutral, in the heading frame."""
+        foot = self.reference.neutral_feet + np.array([*offset, 0.0])
         angle = GO2.to_motors(GO2.leg_geometry.foot_pose(foot)[None])
         return replace(self.truth, motor_angle=angle, foot_contact=np.ones((1, 4)))
 
     def go(self, *parts: float) -> None:
-        """Let the front left foot's swing go on to parts of it."""
+        """Advance the swing of the front left foot to the given phases."""
         for part in parts:
             self.landings.plan(self.truth, self.state(part))
 
-    def judge(self, truth: SimState, part: float) -> float:
-        """Return what landings count at a part of the front left foot's swing."""
+    def error_at(self, truth: SimState, part: float) -> float:
+        """Return the foothold error at a swing phase of the front left foot."""
         self.go(part)
         return float(self.landings.compute(truth)[0])
 
-    def land(self, beside: tuple[float, float], landing: tuple[float, float]) -> float:
-        """Return what a foot counts that was to land at `landing` beside its place [m], and does at `beside`."""
+    def land(self, offset: tuple[float, float], landing: tuple[float, float]) -> float:
+        """Return the error of a foot that lands at the offset `offset` [m] with its foothold at `landing` [m]."""
         self.footholds.landing[:] = landing
         air = replace(self.truth, foot_contact=np.zeros((1, 4)))
         for _ in range(5):
-            self.judge(air, 0.2)
+            self.error_at(air, 0.2)
         self.go(0.2, 0.35)
-        # Both feet of the diagonal land.
-        return 0.5 * self.judge(self.standing(beside), 0.95)
+        # Both diagonal feet land.
+        return 0.5 * self.error_at(self.standing(offset), 0.95)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.2])
-def test_a_landing_counts_the_square_of_its_distance(yaw: float):
+def test_a_landing_costs_its_squared_distance(yaw: float):
     unit = LENGTH / 12
     assert Walk(yaw).land((0.05, -0.02), (0.05, -0.02)) == pytest.approx(0.0, abs=1e-9)
     # 3 cm too far ahead and 4 cm to the left: 5 cm.
@@ -88,26 +88,26 @@ def test_a_landing_counts_the_square_of_its_distance(yaw: float):
     assert Walk(yaw).land((0.15, 0.0), (-0.05, 0.0)) == pytest.approx(4.0)
 
 
-def test_a_foot_that_finds_no_ground_counts_most_and_once():
+def test_a_foot_that_misses_the_ground_has_maximum_cost_once():
     walk = Walk()
     walk.go(0.2, 0.35)
     air = replace(walk.truth, foot_contact=np.zeros((1, 4)))
     duty = float(walk.reference.feet.duty_factor[FRONT_LEFT])
-    late = (0.35 - duty) / (1.0 - duty)  # .35 of a cycle after it should have landed
-    counts = [walk.judge(air, part) for part in (0.9, late, late)]
-    # Both feet of the diagonal swing.
+    late = (0.35 - duty) / (1.0 - duty)  # 0.35 of a cycle after the planned touchdown
+    counts = [walk.error_at(air, part) for part in (0.9, late, late)]
+    # Both diagonal feet swing.
     assert counts == [0.0, 8.0, 0.0]
 
 
 def test_feet_that_never_left_the_ground_do_not_land():
     walk = Walk()
     walk.go(0.2, 0.35)
-    assert walk.judge(walk.standing((0.1, 0.0)), 0.95) == 0.0
+    assert walk.error_at(walk.standing((0.1, 0.0)), 0.95) == 0.0
 
 
 def test_the_reward_needs_footholds():
     task = seeing_task()
     with pytest.raises(
-        SurefootError, match=r"reward.foothold_error needs footholds, and reference.foothold_radius is 0"
+        SurefootError, match=r"reward.foothold_error needs footholds: set reference.foothold_radius above 0"
     ):
         LocomotionEnv(replace(task, reference=replace(task.reference, foothold_radius=0.0)), 1, SimWorld, threads=1)

@@ -1,4 +1,4 @@
-"""The hybrid policy's arithmetic."""
+"""Hybrid gait: motor angles from reference and feedback."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def trot(robot: RobotDescription, amplitude: float = 0.35):
 
 
 def scratch(robot: RobotDescription) -> HybridGait:
-    """From scratch: no reference; swing +-.5, extension from 1 to 2."""
+    """Return a gait without a reference: swing +-0.5, extension from 1 to 2."""
     return HybridGait(robot, read_reference({}, robot), (-0.5, 0.5), (1.0, 2.0))
 
 
-# Actions -1, 0 and 1 are the lower bound, the middle and the upper bound; there is nothing beyond.
+# Actions -1, 0 and 1 are the lower bound, the middle and the upper bound; actions beyond are clipped.
 @pytest.mark.parametrize(
     ("action", "swing", "extension"),
     [(-1, -0.5, 1.0), (0, 0.0, 1.5), (1, 0.5, 2.0), (0.5, 0.25, 1.75), (7, 0.5, 2.0), (-7, -0.5, 1.0)],
@@ -38,7 +38,7 @@ def test_actions_span_the_bounds(robot, action: float, swing: float, extension: 
     np.testing.assert_allclose(feedback, np.tile([swing] * 4 + [extension] * 4, (2, 1)))
 
 
-def test_each_action_moves_its_own_leg(robot):
+def test_each_action_moves_its_leg(robot):
     gait = scratch(robot)
     for k, name in enumerate(gait.action_names):
         action = np.zeros((1, 8))
@@ -56,8 +56,8 @@ def test_each_action_moves_its_own_leg(robot):
 
 def test_reference_and_feedback_add(robot):
     gait = HybridGait(robot, trot(robot), (-0.25, 0.25), (-0.25, 0.25))
-    # At .125 s the front left leg has swing .3 and extension 2.35; feedback adds .25 to each:
-    # theta_1 = 2.6 + .55, theta_2 = 2.6 - .55.
+    # At 0.125 s the front left leg has swing 0.3 and extension 2.35; feedback adds 0.25 to each:
+    # theta_1 = 2.6 + 0.55, theta_2 = 2.6 - 0.55.
     targets = gait.motor_targets([0.125], gait.feedback(np.ones((1, 8))))[0]
     assert targets[robot.motor_names.index("front_left_1_motor")] == pytest.approx(3.15)
     assert targets[robot.motor_names.index("front_left_2_motor")] == pytest.approx(2.05)
@@ -81,7 +81,7 @@ def test_rest_is_the_middle_of_the_range_of_commands(robot):
         (1.5, (0.0, 0.0), (0.0, 0.0), ["extension can be 0.500 to 3.500"]),
     ],
 )
-def test_commands_beyond_the_legs_range_are_refused(robot, amplitude, swing, extension, pieces):
+def test_commands_beyond_the_legs_range_are_rejected(robot, amplitude, swing, extension, pieces):
     with pytest.raises(SurefootError) as caught:
         HybridGait(robot, trot(robot, amplitude), swing, extension)
     message = str(caught.value)
@@ -109,14 +109,14 @@ def test_feedback_may_be_on_each_motor(robot):
 def test_rest_and_angles_with_feedback_on_motors(robot):
     gait = of_joints(robot)
     assert gait.rest == pytest.approx((0.0, 2.0))
-    # The reference has swing -.3 to .3 and extension 1.65 to 2.35, so motors go from 1.35 to 2.65; then -.1 to .3.
+    # The reference has swing -0.3 to 0.3 and extension 1.65 to 2.35, so motors go from 1.35 to 2.65; then -0.1 to 0.3.
     np.testing.assert_allclose(gait.angle_extent(), [[1.25] * 8, [2.95] * 8])
     with pytest.raises(SurefootError, match=r"extension can be 0\.500 to 3\.500 rad"):
         HybridGait(robot, trot(robot, 1.5), (0.0, 0.0), action="joint")
 
 
 def test_angles_of_all_commands_in_leg_space(robot):
-    # From scratch: swing +-.5, extension 1 to 2.
+    # From scratch: swing +-0.5, extension 1 to 2.
     np.testing.assert_allclose(scratch(robot).angle_extent(), [[0.5] * 8, [2.5] * 8])
     rng = np.random.default_rng(1)
     gait = HybridGait(robot, trot(robot), (-0.1, 0.3), (-0.2, 0.25))
@@ -133,8 +133,8 @@ def test_the_edge_of_the_legs_range_is_allowed(robot):
 
 
 @pytest.mark.parametrize("task", ["trot", "steer"])
-def test_a_damped_drive_follows_a_reference_that_leads_by_its_lag(task: str):
-    """An actuator without inertia and load moves at (command - angle) k_p / k_d: it lags by T = k_d / k_p."""
+def test_velocity_feedforward_compensates_the_lag_of_damping(task: str):
+    """An actuator without inertia and load moves at (command - angle) k_p / k_d, so it lags by T = k_d / k_p."""
     go2, lag, step = RobotDescription.load("go2"), 0.0286, 1e-3
     time = np.arange(0.0, 2.0, step)
     command, worst = np.tile([0.5, 0.0, 0.0], (len(time), 1)), {}

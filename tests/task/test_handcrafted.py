@@ -43,9 +43,9 @@ def test_a_saved_gait_is_read_back_as_gait_and_as_task(tmp_path: Path, gait: Han
 
 def test_a_gait_without_gains_is_open_loop():
     assert isinstance(GAIT.policy(), RaibertController)
-    alone = replace(GAIT, raibert=None).policy()
-    assert isinstance(alone, OpenLoop)
-    assert alone.feedback(np.ones((3, 5))).tolist() == [[0.0] * 8] * 3
+    open_loop = replace(GAIT, raibert=None).policy()
+    assert isinstance(open_loop, OpenLoop)
+    assert open_loop.feedback(np.ones((3, 5))).tolist() == [[0.0] * 8] * 3
 
 
 def run(gait: HandcraftedGait, **params) -> EpisodeTrace:
@@ -54,7 +54,7 @@ def run(gait: HandcraftedGait, **params) -> EpisodeTrace:
 
 
 def test_raiberts_controller_corrects_a_measured_tilt():
-    """An IMU that shows a nose .1 rad too low makes the front legs longer, so that the nose is too high."""
+    """An IMU that measures a pitch of 0.1 rad (nose down) makes the front legs longer and the nose too high."""
     low, high = (run(GAIT, imu_bias=(0.0, bias)).roll_pitch_yaw[50:, 1].mean() - bias for bias in (0.1, -0.1))
     assert low < high - 0.02
     left, right = (run(GAIT, imu_bias=(bias, 0.0)).roll_pitch_yaw[50:, 0].mean() - bias for bias in (0.1, -0.1))
@@ -73,7 +73,7 @@ def test_the_speed_estimate_is_near_the_true_speed():
 @pytest.mark.parametrize(
     ("text", "piece"),
     [
-        ("reference: {kind: foot}", "handcrafted is missing; the file is of a task"),
+        ("reference: {kind: foot}", "handcrafted is missing; the file is a task"),
         ("handcrafted: {}", "task.reference.kind is 'none'; a handcrafted gait has a reference of kind foot"),
         ("reference: {kind: foot}\nhandcrafted: {gains: 1}", "handcrafted.gains is not a key; choices: raibert, about"),
         (
@@ -84,7 +84,7 @@ def test_the_speed_estimate_is_near_the_true_speed():
         ("reference: {kind: foot, foot: {strok: 1}}\nhandcrafted: {}", "reference.foot.strok is not a key"),
     ],
 )
-def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path: Path, text: str, piece: str):
+def test_an_invalid_file_is_rejected_in_one_line(tmp_path: Path, text: str, piece: str):
     path = tmp_path / "hand.yaml"
     path.write_text(text + "\n")
     with pytest.raises(SurefootError) as caught:

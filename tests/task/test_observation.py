@@ -1,4 +1,4 @@
-"""Any choice of observation parts, by name and in any order, from task to environment to contract."""
+"""Any choice of observations in any order, from task to environment to contract."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 pytest.importorskip("torch")
 
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract
@@ -34,7 +34,7 @@ choices_of_parts = st.permutations(sorted(WIDTHS)).flatmap(
 
 @pytest.fixture(scope="module")
 def make_env():
-    """Return a function that makes an environment of these parts; each reading is a number of its own."""
+    """Return a function that makes an environment with these observations; each reading is a unique number."""
 
     class NumberedWorld(ScriptedWorld):
         def readings(self) -> SensorReadings:
@@ -59,7 +59,7 @@ def make_env():
 
 
 def expected(name: str, robot: int, steps: int) -> list[float]:
-    """Return the numbers of a part after so many control steps under action 0.5, worked by hand."""
+    """Return the values of an observation after a number of control steps with action 0.5, worked by hand."""
     start = 1000.0 * robot
     quarter = [(0.0, 1.0), (1.0, 0.0), (0.0, -1.0), (-1.0, 0.0)][steps % 4]
     return {
@@ -81,7 +81,7 @@ def expected(name: str, robot: int, steps: int) -> list[float]:
 
 
 def check(env: LocomotionEnv, names: tuple[str, ...], history: int) -> Contract:
-    """Check space, numbers and contract of an environment that observes these parts; return the contract."""
+    """Check space, values and contract of an environment with these observations; return the contract."""
     width = sum(WIDTHS[name] for name in names)
     assert env.single_observation_space.shape == (width * history,)
     env.reset(seed=0)
@@ -127,7 +127,7 @@ def test_gravity_is_the_direction_down_in_the_base_frame():
     np.testing.assert_allclose(gravity(left_up[None]), [[0, -math.sin(0.3), -math.cos(0.3)]], atol=1e-12)
 
 
-def test_memory_is_what_the_policy_gave_last_and_moves_nothing():
+def test_memory_is_the_last_output_and_moves_nothing():
     task = TaskConfig(robot="go2", observations=("memory", "last_action"), action="angle", memory=2)
     env = LocomotionEnv(task, 2, ScriptedWorld)
     feedback = np.concatenate([np.tile(env.robot.resting_angles, (2, 1)), [[1.5, -300.0], [2.5, 40.0]]], axis=1)
@@ -155,7 +155,7 @@ def test_another_order_is_another_contract(make_env):
         (("roll", "pitch", "roll"), ["roll, pitch, roll", "names must not repeat"]),
     ],
 )
-def test_parts_that_do_not_fit_are_refused_in_one_line(robot, names, pieces):
+def test_invalid_observations_are_rejected_in_one_line(robot, names, pieces):
     with pytest.raises(SurefootError) as caught:
         Observer(robot, names)
     assert "\n" not in str(caught.value)
@@ -163,6 +163,6 @@ def test_parts_that_do_not_fit_are_refused_in_one_line(robot, names, pieces):
         assert piece in str(caught.value)
 
 
-def test_phase_without_a_period_is_refused():
+def test_phase_without_a_period_is_rejected():
     with pytest.raises(SurefootError, match="'reference_phase' needs a periodic reference"):
         phase(np.zeros(2), None)

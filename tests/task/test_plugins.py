@@ -1,4 +1,4 @@
-"""Plug-ins: what they register, what their functions may return, and what is refused."""
+"""Plug-ins: registration, values of their functions, and errors."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("torch")
 
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.errors import SurefootError
 from surefoot.learn.symmetry import mirror_columns
@@ -93,7 +93,7 @@ def test_terms_and_observations_work_as_built_in_ones(write) -> None:
     assert env.observer.columns == ["roll", "twice"]
 
 
-def test_a_policy_records_its_plugins_and_needs_their_observations_alone(write, robot) -> None:
+def test_a_policy_records_its_plugins_and_needs_only_their_observations(write, robot) -> None:
     path = write(CONSTANT, TWICE)
     contract = Contract.from_json(make_contract(make_env()).to_json())
     (record,) = contract.plugins
@@ -106,7 +106,7 @@ def test_a_policy_records_its_plugins_and_needs_their_observations_alone(write, 
     assert task_from_contract(contract, robot).reward == {"energy": 0.0}
     changed, skipped = plugin_notes(contract)
     assert changed == f"plug-in {path} has changed since the policy was trained with it"
-    assert skipped == "returns are without 'constant'; to have them, name the plug-in: --plugin 'mine.py'"
+    assert skipped == "returns are without 'constant'; to include them, name the plug-in: --plugin 'mine.py'"
 
     remove_plugins()
     with pytest.raises(
@@ -124,7 +124,7 @@ def test_another_process_registers_the_same_plugin(write) -> None:
     write(CONSTANT)
     (sent,) = pickle.loads(pickle.dumps(registered_plugins()))
     remove_plugins()
-    Path(sent.path).unlink()  # another computer has no such file
+    Path(sent.path).unlink()  # the file does not exist on another computer
     register_plugin(sent)
     assert TERMS["constant"].unit == "1"
     assert [plugin.rewards for plugin in registered_plugins()] == [["constant"]]
@@ -134,7 +134,7 @@ def test_columns_of_motors_and_of_sides_are_mirrored(write, robot) -> None:
     columns = "lambda robot: ['force.' + leg for leg in robot.leg_names] + ['lean']"
     text = OBSERVATION.format(columns, "0").replace('frame="motor"', 'frame="motor", flipped=["lean"]')
     write(text)
-    source, sign = mirror_columns(Observer(robot, ("twice",)).columns, more_flipped=PARTS["twice"].flipped)
+    source, sign = mirror_columns(Observer(robot, ("twice",)).columns, extra_flipped=PARTS["twice"].flipped)
     legs = robot.leg_names
     assert [legs[k] for k in source[:-1]] == [
         leg.replace("left", "*").replace("right", "left").replace("*", "right") for leg in legs
@@ -153,7 +153,7 @@ def test_columns_of_motors_and_of_sides_are_mirrored(write, robot) -> None:
         (TERM.replace('"constant"', '"a b"'), "name of the reward term is 'a b'; a name has letters"),
     ],
 )
-def test_a_file_that_is_no_plugin_is_refused_and_leaves_nothing(write, text: str, message: str) -> None:
+def test_an_invalid_plugin_is_rejected_and_registers_nothing(write, text: str, message: str) -> None:
     with pytest.raises(SurefootError, match=message):
         write(text)
     assert registered_plugins() == []
@@ -202,7 +202,7 @@ def test_an_installed_plugin_is_named_by_its_entry_point(tmp_path: Path, monkeyp
     monkeypatch.syspath_prepend(str(tmp_path))
     with pytest.raises(SurefootError, match=r"plug-in 'mein' is neither .* nor an installed one; .*choices: mine"):
         load_plugins(["mein"])
-    assert "constant" not in TERMS  # it is installed, and nobody named it
+    assert "constant" not in TERMS  # installed, but not named by the user
     load_plugins(["mine"])
     sha256 = hashlib.sha256((tmp_path / "gaits_of_mine.py").read_bytes()).hexdigest()
     assert used_plugins(["constant"], []) == (PluginRecord("mine", sha256, ("constant",), ()),)

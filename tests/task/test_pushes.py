@@ -1,4 +1,4 @@
-"""Random pushes: when, how hard, where to."""
+"""Random pushes: timing, force and direction."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ STEP = 0.006
 
 
 def make_pusher(config: PushConfig, num_envs: int, seed: int) -> Pusher:
-    """Return the pusher of robots that weigh 100 N."""
+    """Return the pusher of robots with a weight of 100 N."""
     return Pusher(config, num_envs, seed, 100.0)
 
 
 def forces(pusher: Pusher, steps: int, first: int = 0) -> np.ndarray:
-    """Force in each control step (steps, N, 3); time is that of the step's start."""
+    """Return the force in each control step (steps, N, 3), at the time of the step's start."""
     path = []
     for k in range(first, first + steps):
         pusher.update(np.full(len(pusher.force), k * STEP))
@@ -59,7 +59,7 @@ def test_horizontal_pushes_have_their_whole_force_in_the_plane():
     assert stats.kstest(np.arctan2(many[:, 1], many[:, 0]), "uniform", (-np.pi, 2 * np.pi)).pvalue > 0.01
 
 
-def test_a_ramp_lets_the_force_grow_over_a_robots_first_pushes_through_all_its_episodes():
+def test_a_ramp_scales_a_robots_first_pushes_over_all_its_episodes():
     pusher = make_pusher(PushConfig(enabled=True, force=(100.0, 100.0), ramp=4), 1, seed=1)
     sizes = []
     for _ in range(3):  # episodes with two pushes each
@@ -69,7 +69,7 @@ def test_a_ramp_lets_the_force_grow_over_a_robots_first_pushes_through_all_its_e
     assert sizes == pytest.approx([25, 50, 75, 100, 100, 100])
 
 
-def test_policies_are_tested_with_every_push_in_full_force():
+def test_evaluations_use_every_push_with_full_force():
     trained = PushConfig(probability=0.05, ramp=30, force=(1.0, 2.0))
     assert trained.for_evaluation(True) == PushConfig(enabled=True, force=(1.0, 2.0))
     assert trained.for_evaluation(False) == PushConfig(enabled=False, force=(1.0, 2.0))
@@ -78,7 +78,7 @@ def test_policies_are_tested_with_every_push_in_full_force():
     )
 
 
-def test_relative_forces_count_the_robots_weight():
+def test_relative_forces_are_in_units_of_weight():
     config = PushConfig(enabled=True, relative=True, force=(0.5, 0.5))
     pushed = forces(make_pusher(config, 1, seed=1), 1, first=200)
     np.testing.assert_allclose(np.linalg.norm(pushed), 50.0)
@@ -90,7 +90,7 @@ def test_pushes_happen_with_their_probability(probability: float):
     pusher = make_pusher(PushConfig(enabled=True, probability=probability), 2000, seed=3)
     is_pushed = forces(pusher, 10, first=200).any(axis=2)
     assert is_pushed[0].mean() == pytest.approx(probability, abs=0.03)
-    assert np.all(is_pushed == is_pushed[0])  # one draw a push, not one a step
+    assert np.all(is_pushed == is_pushed[0])  # one draw per push, not per step
 
 
 @pytest.mark.parametrize(("seed", "same"), [(5, True), (6, False)])
@@ -100,7 +100,7 @@ def test_pushes_depend_on_the_seed_and_not_on_the_batch(seed, same):
     assert np.array_equal(few, many[:, :2]) == same
 
 
-def test_a_reset_starts_the_clock_anew_and_ends_a_push():
+def test_a_reset_restarts_the_timing_and_ends_a_push():
     pusher = make_pusher(PushConfig(enabled=True), 2, seed=1)
     forces(pusher, 203)
     assert pusher.force.any(axis=1).all()
@@ -138,7 +138,7 @@ def test_any_control_step_gets_every_push(step):
         ({"period": float("nan")}, "pushes.period is nan; it must be a finite number"),
     ],
 )
-def test_pushes_out_of_bounds_are_refused(values, piece):
+def test_pushes_out_of_bounds_are_rejected(values, piece):
     with pytest.raises(SurefootError) as caught:
         PushConfig(**values)
     assert piece in str(caught.value)

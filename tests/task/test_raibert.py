@@ -1,4 +1,4 @@
-"""Raibert's controller: its estimate and its laws, worked by hand, and in a simulation."""
+"""Raibert's controller: speed estimate and control laws, worked by hand, and in simulation."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ PATH = {
     "depth": 0.0,
 }
 SPEED = 0.4
-"""Of the path [m/s]: .1 m in half a cycle of .5 s."""
+"""Speed of the trajectory [m/s]: 0.1 m in half a cycle of 0.5 s."""
 
 
 def paths(**other: Any) -> FootPaths:
@@ -46,27 +46,27 @@ def angles(time: float, **other: Any) -> np.ndarray:
 
 
 def observation(time: float, imu: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0), **other: Any) -> np.ndarray:
-    """Return the observation of a robot whose legs follow a path exactly."""
+    """Return the observation of a robot whose legs follow a trajectory exactly."""
     speed = (angles(time + 1e-5, **other) - angles(time - 1e-5, **other)) / 2e-5
     clock = 2 * np.pi * 2.0 * time
     return np.concatenate([imu, angles(time, **other), speed, [np.sin(clock), np.cos(clock)]])
 
 
 def feet(feedback: np.ndarray, time: float) -> np.ndarray:
-    """Return how far feedback moves the feet (4, 2) [m]."""
+    """Return the shift of the feet by feedback (4, 2) [m]."""
     pose = paths().pose([time]) + feedback.reshape(-1, 2, 4)
     moved = LEG.foot_in_plane(LEG.to_motors(pose))
     return (moved - paths().path([2.0 * time]))[0]
 
 
 @pytest.mark.parametrize("time", [0.06, 0.125, 0.19, 0.31, 0.4])
-def test_speed_is_that_of_feet_in_stance(time: float):
+def test_speed_is_estimated_from_feet_in_stance(time: float):
     assert controller().speed(observation(time)[None])[0] == pytest.approx(SPEED, rel=1e-3)
     faster = observation(time, stroke=0.15)
     assert controller().speed(faster[None])[0] == pytest.approx(1.5 * SPEED, rel=1e-3)
 
 
-def test_speed_leaves_out_the_edges_of_a_stance():
+def test_speed_excludes_the_ends_of_stance():
     assert np.isnan(controller().speed(observation(0.01)[None])[0])
     both = np.concatenate([observation(0.01), observation(0.24), observation(0.13)])
     assert controller(history=3).speed(both[None])[0] == pytest.approx(SPEED, rel=1e-3)
@@ -74,30 +74,31 @@ def test_speed_leaves_out_the_edges_of_a_stance():
 
 def test_speed_accounts_for_the_lag_of_the_legs():
     late = controller(lag=0.03)
-    # The clock is .03 s ahead of what the legs do.
+    # The clock is 0.03 s ahead of the legs.
     seen = np.concatenate([observation(0.06)[:-2], observation(0.09)[-2:]])
     assert late.speed(seen[None])[0] == pytest.approx(SPEED, rel=1e-3)
 
 
 def test_speed_accounts_for_the_rate_of_pitch():
-    # The feet are .22 m below motors that are .0185 m below the base's origin: rising pitch moves them backward.
+    # The feet are 0.22 m below motors that are 0.0185 m below the base's origin: a positive pitch rate moves them
+    # backward.
     still = observation(0.125, (0.0, 0.0, 0.0, 1.0))
     below = -0.22 + ROBOT.leg_mounts[0, 2]
     assert controller().speed(still[None])[0] == pytest.approx(SPEED - 1.0 * below, rel=1e-3)
 
 
 @pytest.mark.parametrize(("k", "expected"), [(0.0, 0.125), (0.1, 0.225), (-0.125, 0.0)])
-def test_feet_land_further_ahead_the_faster_the_base_is(k: float, expected: float):
-    """Of .1 m/s too much each second of T / 2 + k shifts the feet by .1 m; T is .25 s."""
-    fast = observation(0.125, stroke=0.125)  # .5 m/s
+def test_foot_placement_is_proportional_to_excess_speed(k: float, expected: float):
+    """An excess speed of 0.1 m/s shifts feet by 0.1 m per second of T / 2 + k, with T = 0.25 s."""
+    fast = observation(0.125, stroke=0.125)  # 0.5 m/s
     moved = feet(controller(speed=k).feedback(fast[None]), 0.125)
     np.testing.assert_allclose(moved[:, 0], 0.1 * expected, atol=1e-5)
     np.testing.assert_allclose(moved[:, 1], 0.0, atol=1e-9)
 
 
-def test_legs_in_stance_right_the_base():
+def test_legs_in_stance_level_the_base():
     gains = controller(speed=-0.125, pitch=0.5, pitch_rate=0.02, roll=0.4, roll_rate=0.01)
-    # Half way through the stance of front left and back right, whose weight is then 1.
+    # In the middle of the stance of front left and back right, whose weight is then 1.
     nose_down = feet(gains.feedback(observation(0.125, (0.0, 0.1, 0.0, 0.0))[None]), 0.125)[:, 1]
     x, y = np.abs(ROBOT.leg_mounts[0, :2])
     np.testing.assert_allclose(nose_down, [-0.05 * x, 0.0, 0.0, 0.05 * x], atol=1e-9)
@@ -114,16 +115,16 @@ def test_a_shift_is_limited_and_a_foot_out_of_reach_stays_on_its_path():
     assert not controller(speed=10.0, reach=0.5).feedback(wild[None]).any()
 
 
-def test_robots_have_gains_and_paths_of_their_own():
+def test_robots_may_have_different_gains_and_paths():
     seen = np.stack([observation(0.125, (0.0, 0.1, 0.0, 0.0), stroke=0.125)] * 2)
-    alone = [controller(pitch=gain).feedback(seen[:1])[0] for gain in (0.2, 0.6)]
+    single = [controller(pitch=gain).feedback(seen[:1])[0] for gain in (0.2, 0.6)]
     column: Any = np.array([[0.2], [0.6]])
     gains = replace(RaibertConfig(lag=0.0), pitch=column)
-    both = RaibertController(ROBOT, FootPaths.stacked([paths()] * 2), gains, OBSERVATIONS, 1)
-    np.testing.assert_allclose(both.feedback(seen), alone, atol=1e-12)
+    both = RaibertController(ROBOT, FootPaths.stack([paths()] * 2), gains, OBSERVATIONS, 1)
+    np.testing.assert_allclose(both.feedback(seen), single, atol=1e-12)
 
 
-def test_other_observations_are_refused():
+def test_other_observations_are_rejected():
     with pytest.raises(
         SurefootError, match="observations are roll, pitch; Raibert's controller takes roll, pitch, roll_"
     ):

@@ -1,4 +1,4 @@
-"""Environments with randomization: drawn values, measured in physics and motors, and when they are drawn anew."""
+"""Domain randomization in environments: effects on physics and motors, and when parameters are drawn."""
 
 from __future__ import annotations
 
@@ -31,23 +31,23 @@ STILL: dict[str, Any] = {
 
 
 def make_env(ranges: Ranges, num_envs: int = 4, seed: int = 1, autoreset: bool = True, **task: Any) -> LocomotionEnv:
-    """Robots that stand still at first, with these ranges."""
+    """Make an environment with these ranges and no initial velocity."""
     config = TaskConfig(**{**STILL, "randomize": ranges, **task})
     return LocomotionEnv(config, num_envs, SimWorld, seed, autoreset, threads=1)
 
 
 RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
 FINE = {"control_step": 0.001}
-"""A command for every servo step, so that the truth of every servo step is known."""
+"""One command per servo step, so that the true state of every servo step is available."""
 
 
 def wave(env: LocomotionEnv, k: int) -> np.ndarray:
-    """Motor angles that keep all legs busy, for the servo step k."""
+    """Return motor angles that move all legs, for the servo step k."""
     phase = 2 * np.pi * 2.0 * 0.001 * k + np.array([0, np.pi, np.pi, 0])
     return env.robot.pose_angles(0.3 * np.sin(phase), 2.0 + 0.35 * np.sin(phase))
 
 
-def test_weight_and_foot_penetration_follow_the_drawn_parameters(robot):
+def test_weight_and_foot_penetration_follow_the_randomized_parameters(robot):
     env = make_env({name: FULL[name] for name in (*RATIOS[:2], "contact_stiffness")}, num_envs=12)
     for _ in range(450):
         env.world.step(env.world.resting_angles)
@@ -62,7 +62,7 @@ def test_weight_and_foot_penetration_follow_the_drawn_parameters(robot):
 
 
 def own_model(env: LocomotionEnv, i: int, without: str = "") -> mujoco.MjModel:
-    """A model apart from the engine's with robot i's drawn masses and inertias; `without` one of them."""
+    """Return a separate model with the randomized masses and inertias of robot i, except `without`."""
     model, params = build_model(env.robot), env.world.params
     for body in range(1, model.nbody):
         part = "base" if model.body(body).name == env.robot.base else "leg"
@@ -75,7 +75,7 @@ def own_model(env: LocomotionEnv, i: int, without: str = "") -> mujoco.MjModel:
 
 
 def own_motion(model: mujoco.MjModel, start: np.ndarray, forces: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Coordinates after each servo step under the forces given, from a state of another MuJoCo."""
+    """Return the coordinates after each servo step with the given forces, from a state of the engine."""
     data = mujoco.MjData(model)
     mujoco.mj_setState(model, data, start, mujoco.mjtState.mjSTATE_INTEGRATION)
     path = []
@@ -86,7 +86,7 @@ def own_motion(model: mujoco.MjModel, start: np.ndarray, forces: list[tuple[np.n
     return np.array(path)
 
 
-def test_mass_and_inertia_move_as_in_a_model_of_our_own():
+def test_motion_equals_that_of_a_separate_model():
     env = make_env({name: FULL[name] for name in RATIOS}, num_envs=3, params=FINE)
     engine = env.world.engine
     size = mujoco.mj_stateSize(build_model(env.robot), mujoco.mjtState.mjSTATE_INTEGRATION)
@@ -106,7 +106,7 @@ def test_mass_and_inertia_move_as_in_a_model_of_our_own():
 
 
 def torques_by_hand(env: LocomotionEnv, target: np.ndarray, angle: np.ndarray, speed: np.ndarray, **changed: Any):
-    """Torque on each motor's shaft (steps, N, M) by eq. 5 to 7 of the paper; `changed` parameters for all."""
+    """Return the torque on each motor's shaft (steps, N, M) by eq. 5 to 7 of the paper, with `changed` parameters."""
     params = env.world.params.with_values(env.robot, **changed)
     time = 0.001 * np.arange(len(angle))
     expected = np.empty_like(angle)
@@ -121,7 +121,7 @@ def torques_by_hand(env: LocomotionEnv, target: np.ndarray, angle: np.ndarray, s
     return expected
 
 
-def test_the_motors_answer_as_drawn():
+def test_motor_torques_follow_the_randomized_parameters():
     names = ("motor_strength", "motor_friction", "voltage", "torque_constant", "resistance", "servo_latency")
     env = make_env({name: FULL[name] for name in names}, num_envs=3, params=FINE)
     robot, datas, model = env.robot, env.world.engine.datas, build_model(env.robot)
@@ -138,10 +138,10 @@ def test_the_motors_answer_as_drawn():
     np.testing.assert_allclose(applied, torques_by_hand(env, *went), rtol=1e-9, atol=1e-9)
     for name in names:
         apart = np.abs(applied - torques_by_hand(env, *went, **{name: robot.nominal_params()[name]})).max(axis=0)
-        assert np.all(apart > 1e-6)  # each motor of each robot
+        assert np.all(apart > 1e-6)  # differs for each motor of each robot
 
 
-# --- when it is drawn -------------------------------------------------------------------------------------
+# --- when parameters are drawn -------------------------------------------------------------------------------------
 
 
 def run(env: LocomotionEnv, steps: int, seed: int = 0) -> list[np.ndarray]:
@@ -159,7 +159,7 @@ def same_path(first: list[np.ndarray], second: list[np.ndarray]) -> bool:
 
 
 def drawn_anew(env: LocomotionEnv, before: PhysicalParams) -> list[bool]:
-    """Whether each robot has other parameters than before: all of the table's, or none."""
+    """Return whether each robot has new parameters: all of the table, or none."""
     now = env.world.params
     columns = [np.reshape(getattr(now, name) != getattr(before, name), (env.num_envs, -1)).any(1) for name in TABLE_1]
     assert np.array_equal(np.all(columns, axis=0), np.any(columns, axis=0))
@@ -170,7 +170,7 @@ def copy_params(env: LocomotionEnv) -> PhysicalParams:
     return env.world.params.rows(np.arange(env.num_envs))
 
 
-def test_every_reset_draws_anew_for_the_robots_that_restart():
+def test_every_reset_randomizes_the_robots_that_restart():
     env = make_env(TABLE_1)
     assert drawn_anew(env, PhysicalParams.nominal(env.robot, 4)) == [True] * 4
     for mask in ([True] * 4, [False, True, False, True]):
@@ -179,7 +179,7 @@ def test_every_reset_draws_anew_for_the_robots_that_restart():
         assert drawn_anew(env, before) == mask
 
 
-def test_only_a_robot_that_falls_draws_anew():
+def test_only_a_robot_that_falls_is_randomized_again():
     env = make_env(TABLE_1)
     env.reset()
     before, strength = copy_params(env), env.world.actuation.strength.copy()
@@ -188,12 +188,12 @@ def test_only_a_robot_that_falls_draws_anew():
     env.world.engine.datas[2].qpos[3:7] = np.cos(0.5), np.sin(0.5), 0.0, 0.0  # rolled by 1 rad
     *_, terminated, _, _ = env.step(np.zeros((4, 8)))
     assert drawn_anew(env, before) == terminated.tolist() == [False, False, True, False]
-    # It arrived where the motors are computed.
+    # The new parameters have reached the actuation.
     assert np.array_equal(env.world.actuation.strength != strength, np.repeat([[False, False, True, False]], 8, 0).T)
 
 
 @pytest.mark.parametrize("autoreset", [True, False])
-def test_the_end_of_an_episode_draws_anew_with_autoreset(autoreset: bool):
+def test_the_end_of_an_episode_randomizes_with_autoreset(autoreset: bool):
     env = make_env(TABLE_1, max_steps=3, autoreset=autoreset)
     env.reset()
     before = copy_params(env)
@@ -236,7 +236,7 @@ def test_an_environment_continues_exactly_from_a_state():
     env, other = (make_env(FULL, num_envs=2, seed=seed, **PUSHED) for seed in (1, 2))
     run(env, 30)
     state = env.get_state()
-    path = run(env, 45)  # over the ends of several episodes, whose parameters are drawn after the state was taken
+    path = run(env, 45)  # includes several resets, whose parameters are drawn after the state was saved
     for one in (other, env):
         one.set_state(state)
         assert same_path(path, run(one, 45))
@@ -251,7 +251,7 @@ def test_a_range_of_the_nominal_value_equals_no_range(robot):
     assert same_path(run(env, 40), run(plain, 40))
 
 
-def test_the_critic_state_includes_the_drawn_parameters():
+def test_privileged_observations_include_the_randomized_parameters():
     plain = make_env({}).privileged().shape[1]
     for ranges, width in (
         ({"motor_friction": (0.0, 0.05)}, 1),
@@ -261,5 +261,5 @@ def test_the_critic_state_includes_the_drawn_parameters():
         env = make_env(ranges)
         grown = env.privileged()
         assert grown.shape[1] - plain == width
-        scaled = env.component(RandomizedParams).randomizer.scaled(env.world.params)
+        scaled = env.component(RandomizedParams).randomizer.normalize(env.world.params)
         np.testing.assert_allclose(grown[:, -width:], scaled, atol=1e-6)

@@ -39,7 +39,7 @@ FOOT = {
 
 
 def table(part: str, **other: list[float]) -> dict[str, Any]:
-    """Return `ROWS` with other poses of some legs."""
+    """Return `ROWS` with changed poses of some legs."""
     rows = ROWS["rows"]
     return ROWS | {"rows": rows | {part: rows[part] | other}}
 
@@ -57,7 +57,7 @@ def test_no_reference_is_zero_at_all_times():
     assert reference.extent() == ((0, 0), (0, 0))
 
 
-# Two hertz: a quarter of a period is .125 s.
+# Two hertz: a quarter of a period is 0.125 s.
 @pytest.mark.parametrize(
     ("time", "sine"), [(0.0, 0.0), (0.125, 1.0), (0.25, 0.0), (0.375, -1.0), (1 / 24, 0.5), (0.625, 1.0)]
 )
@@ -75,7 +75,7 @@ def test_extent_covers_every_leg():
     np.testing.assert_allclose(read_reference(data, ROBOT).extent()[0], (-0.5, 0.4))
 
 
-# A wave that does not move does not count.
+# A wave without amplitude does not matter.
 @pytest.mark.parametrize(
     ("swing", "extension", "amplitude", "period"),
     [
@@ -91,7 +91,7 @@ def test_the_period_is_common_to_swing_and_extension(
     assert read_reference({"kind": "sine", **waves}, ROBOT).period == period
 
 
-# Rows stand for 0, .2, .4 and .6 s; after the last row comes the first.
+# Rows are at 0, 0.2, 0.4 and 0.6 s, and the first row follows the last.
 @pytest.mark.parametrize(
     ("time", "swing", "extension"),
     [
@@ -106,7 +106,7 @@ def test_the_period_is_common_to_swing_and_extension(
         (8.1, 0.2, 2.0),
     ],
 )
-def test_a_table_runs_in_straight_lines_and_starts_anew(time: float, swing: float, extension: float):
+def test_a_table_is_interpolated_linearly_and_repeats(time: float, swing: float, extension: float):
     got = read_reference(ROWS, ROBOT).pose([time])
     np.testing.assert_allclose(got, [[np.full(4, swing), np.full(4, extension)]], atol=1e-12)
 
@@ -135,15 +135,15 @@ def test_a_reference_from_a_file_equals_one_from_its_rows(tmp_path: Path, name: 
     assert np.array_equal(from_file(tmp_path / name).pose(time), read_reference(ROWS, ROBOT).pose(time))
 
 
-def test_columns_go_by_name_not_by_place(tmp_path: Path):
+def test_columns_are_matched_by_name(tmp_path: Path):
     table = columns()
     table["swing_back_right"] = [0.1, 0.1, 0.1, 0.1]
     reference = from_file(write(tmp_path / "gait.csv", dict(reversed(table.items()))))
     np.testing.assert_allclose(reference.pose([0.2])[:, 0], [[0.4, 0.4, 0.4, 0.1]])
 
 
-# The straight leg is l = .101 + .240 m long: its natural frequency is sqrt(9.81 / .341) / 2 pi = .8536453 Hz.
-def test_a_foot_reference_may_count_lengths_and_natural_frequencies_of_the_leg():
+# The straight leg is l = 0.101 + 0.240 m long: its natural frequency is sqrt(9.81 / 0.341) / 2 pi = 0.8536453 Hz.
+def test_a_foot_reference_may_use_relative_units():
     lengths = ("stroke", "clearance", "height", "offset", "depth")
     absolute = foot(**{"frequency": 2.0 * 0.8536453} | {name: 0.341 * FOOT["foot"][name] * 3 for name in lengths})
     relative = foot(**{name: 3 * FOOT["foot"][name] for name in lengths})
@@ -155,7 +155,7 @@ def test_a_foot_reference_may_count_lengths_and_natural_frequencies_of_the_leg()
 
 
 @pytest.mark.parametrize("data", [{}, TROT, ROWS, FOOT])
-def test_a_reference_of_time_has_no_leads_and_follows_nothing(data):
+def test_a_periodic_reference_has_no_feedforward_and_no_commands(data):
     reference = read_reference(data, ROBOT)
     assert reference.feedforward == Feedforward(0.0, 0.0, 0.0)
     assert (reference.following, reference.over_holes, reference.is_clipped) == (None, None, False)
@@ -168,7 +168,7 @@ def test_a_reference_of_time_has_no_leads_and_follows_nothing(data):
 def test_rates_of_a_sinusoid_are_its_derivatives():
     reference, time = read_reference(TROT, ROBOT), np.linspace(0, 1, 17)
     angle, sign = 4 * np.pi * time[:, None], np.array([1, -1, -1, 1])
-    # Differences over 4 and 20 ms are less by a factor of sin(x) / x, of 1e-4 and 2.6e-3.
+    # Differences over 4 and 20 ms are smaller by a factor of sin(x) / x: by 1e-4 and 2.6e-3.
     np.testing.assert_allclose(reference.pose_rate(time)[:, 0], 0.3 * 4 * np.pi * np.cos(angle) * sign, atol=1e-3)
     second = -0.3 * (4 * np.pi) ** 2 * np.sin(angle) * sign
     np.testing.assert_allclose(reference.pose_acceleration(time)[:, 0], second, atol=0.15)
@@ -233,7 +233,7 @@ def test_to_dict_describes_the_same_reference(data):
         (table("swing", back_left=[0.0, np.nan, 0.0, 0.0]), ["reference.rows.swing.back_left[1] is nan"]),
     ],
 )
-def test_a_reference_that_does_not_fit_is_refused_in_one_line(data, pieces):
+def test_an_invalid_reference_is_rejected_in_one_line(data, pieces):
     with pytest.raises(SurefootError) as caught:
         read_reference(data, ROBOT)
     message = str(caught.value)
@@ -256,11 +256,11 @@ def test_a_reference_that_does_not_fit_is_refused_in_one_line(data, pieces):
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*input contained no data")
-def test_a_file_that_does_not_fit_is_refused_in_one_line(tmp_path: Path, name: str, table, piece: str):
-    refused(write(tmp_path / name, table), piece)
+def test_an_invalid_file_is_rejected_in_one_line(tmp_path: Path, name: str, table, piece: str):
+    assert_rejected(write(tmp_path / name, table), piece)
 
 
-def refused(path: Path, piece: str) -> None:
+def assert_rejected(path: Path, piece: str) -> None:
     with pytest.raises(SurefootError) as caught:
         from_file(path)
     message = str(caught.value)
@@ -286,13 +286,13 @@ def refused(path: Path, piece: str) -> None:
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*Empty input file", "ignore:.*input contained no data")
-def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes | None, piece: str):
+def test_a_file_without_a_table_is_rejected_in_one_line(tmp_path: Path, name: str, content: bytes | None, piece: str):
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    refused(tmp_path / name, piece)
+    assert_rejected(tmp_path / name, piece)
 
 
-def test_npz_columns_of_unequal_length_are_refused(tmp_path: Path):
-    refused(
+def test_npz_columns_of_unequal_length_are_rejected(tmp_path: Path):
+    assert_rejected(
         write(tmp_path / "gait.npz", columns() | {"swing_back_left": [0.0, 0.1]}), "columns differ in length (2, 4)"
     )

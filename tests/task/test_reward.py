@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import load_task
@@ -27,7 +27,7 @@ def moved_state(
     end: tuple[float, float, float] = (0.03, -0.01, 0.21),
     yaw: tuple[float, float] = (0.0, 0.08),
 ) -> EnvState:
-    """Return the state of one robot that has moved from `start` to `end`, turned, and taken 5 J."""
+    """Return the state of one robot that has moved from `start` to `end`, rotated, and used 5 J."""
     robot = RobotDescription.load("minitaur")
     world = ScriptedWorld(robot, 1, PhysicalParams.nominal(robot))
     truth = world.truth()
@@ -65,24 +65,24 @@ EXPECTED = {
     "progress": 0.03,  # m
     "energy": 5.0,  # J
     "transport_cost": 0.05,  # 5 J / 100 N
-    "forward_speed": 0.15,  # .3 m/s / 2 m/s
+    "forward_speed": 0.15,  # 0.3 m/s / 2 m/s
     "power": 0.25,  # 50 W / (100 N 2 m/s)
-    "track_velocity": math.exp(-1),  # (.3 - .06) / 2 = .12, the width
-    "track_yaw_rate": math.exp(-1),  # (.8 - .48) / 4 = .08, the width
+    "track_velocity": math.exp(-1),  # (0.3 - 0.06) / 2 = 0.12, the width
+    "track_yaw_rate": math.exp(-1),  # (0.8 - 0.48) / 4 = 0.08, the width
     "velocity_error": 0.12,
     "yaw_rate_error": 0.08,
-    "stride_velocity_error": 0.045,  # (.04 + .1 / .4 (.24 - .04)) / 2
-    "stride_yaw_rate_error": 0.005,  # (-.08 + .1 / .4 (.32 + .08)) / 4
+    "stride_velocity_error": 0.045,  # (0.04 + 0.1 / 0.4 (0.24 - 0.04)) / 2
+    "stride_yaw_rate_error": 0.005,  # (-0.08 + 0.1 / 0.4 (0.32 + 0.08)) / 4
     "heading_error": 0.3,
-    "vertical_speed": 0.0025,  # (.1 / 2)^2
-    "roll_pitch_rate": 0.05,  # (.4 / 4)^2 + (.8 / 4)^2
-    "tilt": 0.008,  # .04^2 + .08^2
-    "height": 0.01,  # ((.21 - .16) / .5)^2
+    "vertical_speed": 0.0025,  # (0.1 / 2)^2
+    "roll_pitch_rate": 0.05,  # (0.4 / 4)^2 + (0.8 / 4)^2
+    "tilt": 0.008,  # 0.04^2 + 0.08^2
+    "height": 0.01,  # ((0.21 - 0.16) / 0.5)^2
     "torque": 0.02,  # 2 (5 / 50)^2
     "heat": math.sqrt(8),  # sqrt(8 * (200 W)^2) / 200 W
     "foothold_error": 2.5,
-    "feedback": 0.25,  # .5^2
-    "feedback_change": 0.09,  # (.5 - .2)^2
+    "feedback": 0.25,  # 0.5^2
+    "feedback_change": 0.09,  # (0.5 - 0.2)^2
 }
 
 
@@ -102,7 +102,7 @@ def test_speed_is_along_the_heading_and_progress_along_the_worlds_x_axis():
 
 
 def test_yaw_rate_is_continuous_where_yaw_wraps():
-    np.testing.assert_allclose(moved_state(yaw=(np.pi - 0.05, 0.05 - np.pi)).turn[0, 2], 1.0 / SCALES.rate)
+    np.testing.assert_allclose(moved_state(yaw=(np.pi - 0.05, 0.05 - np.pi)).attitude_rates[0, 2], 1.0 / SCALES.rate)
 
 
 @pytest.mark.parametrize(
@@ -110,9 +110,9 @@ def test_yaw_rate_is_continuous_where_yaw_wraps():
     [
         (PAPER_REWARD, {}, 0.03 - 0.008 * 5),
         ({"progress": 1.0, "transport_cost": -0.4}, {}, 0.03 - 0.4 * 0.05),
-        # Sums count as they are, rates times .1 s.
+        # Sums are unchanged, rates are multiplied by 0.1 s.
         ({"progress": 1.0, "tilt": -2.0, "forward_speed": 1.0}, {}, 0.03 + 0.1 * (-2 * 0.008 + 0.15)),
-        # .2 m/s for .1 s are 20 mm.
+        # 0.2 m/s for 0.1 s are 20 mm.
         (PAPER_REWARD, {"progress": 0.2}, 0.02 - 0.008 * 5),
         (PAPER_REWARD, {"progress": 0.4}, 0.03 - 0.008 * 5),
         ({"forward_speed": 1.0}, {"forward_speed": 0.1}, 0.1 * 0.1),
@@ -131,7 +131,7 @@ def test_a_limit_of_progress_limits_the_reward_of_an_environment():
     env.reset()
     env.world.speed[:], env.world.power[:] = (0.4, 3.0), 10.0
     reward = env.step(np.zeros((2, 8)))[1]
-    # 6 ms: 2.4 mm go forward, 18 mm count as 3 mm; .06 J cost .48 mm.
+    # 6 ms: 2.4 mm forward; 18 mm clipped to 3 mm; 0.06 J cost 0.48 mm.
     np.testing.assert_allclose(reward, [0.0024 - 0.00048, 0.003 - 0.00048])
 
 
@@ -139,7 +139,7 @@ def test_a_limit_of_progress_limits_the_reward_of_an_environment():
     ("weights", "limits", "expected"),
     [
         (PAPER_REWARD, {}, 0.008),
-        ({"progress": 1.0, "energy": -0.01, "transport_cost": -1.0}, {}, 0.02),  # .01 + 1 / 100 N
+        ({"progress": 1.0, "energy": -0.01, "transport_cost": -1.0}, {}, 0.02),  # 0.01 + 1 / 100 N
         ({"progress": 1.0}, {"progress": 0.5}, 0.0),
         ({"progress": 2.0, "energy": -0.01}, {}, None),
         ({"progress": 1.0, "tilt": -1.0}, {}, None),

@@ -1,4 +1,4 @@
-"""One robot as a Gymnasium environment, its ids, and Stable-Baselines3 on both forms."""
+"""Single-robot Gymnasium environment, and environment ids."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 import surefoot.envs
 from surefoot.errors import SurefootError
@@ -26,7 +26,7 @@ def single():
     return make
 
 
-def test_an_episode_ends_after_its_steps_and_starts_anew_with_a_reset(single):
+def test_an_episode_ends_after_its_steps_until_a_reset(single):
     env = single(max_steps=3)
     env.reset()
     env.batch.world.speed[:] = 1.0
@@ -68,13 +68,13 @@ def test_every_preset_has_an_id():
 
 
 @pytest.mark.parametrize("name", ["surefoot/Gallop-v0", "surefoot/Trot-v0"])
-# Raw SI readings have no bounds; nothing else may be amiss.
+# Readings in SI units have no bounds, which the checker may warn about.
 @pytest.mark.filterwarnings("error::UserWarning", "ignore:.*infinity:UserWarning")
 def test_gymnasiums_checker_passes(name):
     check_env(gymnasium.make(name).unwrapped)
 
 
-def test_gymnasiums_checker_passes_with_pictures():
+def test_gymnasiums_checker_passes_with_images():
     env = gymnasium.make("surefoot/Trot-v0", robot="go2", render_mode="rgb_array").unwrapped
     check_env(env)
     env.reset(seed=0)
@@ -87,7 +87,7 @@ def test_gymnasiums_checker_passes_with_pictures():
         surefoot.envs.make_single("trot", render_mode="human")
 
 
-def test_a_batch_has_a_picture_of_each_robot():
+def test_a_batch_renders_an_image_of_each_robot():
     envs = gymnasium.make_vec("surefoot/Trot-v0", num_envs=2, threads=1, render_mode="rgb_array")
     envs.reset(seed=0)
     pictures = envs.render()
@@ -122,7 +122,7 @@ def test_info_of_a_batch_is_that_of_each_robot():
         assert info["reward_terms"]["torque"] == batch["reward_terms"]["torque"][row]
 
 
-def test_a_fall_is_told_from_other_ends():
+def test_info_distinguishes_a_fall_from_other_ends():
     env = LocomotionSingleEnv(TaskConfig(feedback=FEEDBACK, fall_height=0.5), SimWorld, seed=0)
     env.reset()
     *_, terminated, _, info = env.step(np.zeros(8))

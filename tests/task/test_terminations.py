@@ -1,4 +1,4 @@
-"""Terminations: each condition, and what wins where several hold."""
+"""Terminations: each condition, and their precedence."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import TaskConfig, load_task
@@ -36,14 +36,14 @@ def test_falls_divergence_and_length_end_episodes_and_a_fall_wins() -> None:
     end_episodes(now, task)
     assert now.terminated.tolist() == [False, True, True, True, True, False]
     assert now.truncated.tolist() == [False] * 5 + [True]
-    # A limit of 0 is none, and robots that wait for a reset do not end again.
+    # A limit of 0 disables a condition, and robots that wait for a reset do not end again.
     now.over[1] = True
     end_episodes(now, replace(task, fall_height=0.0))
     assert now.terminated.tolist() == [False, False, False, True, True, False]
 
 
 def at(angles: list[tuple[float, float, float]], height: float = 0.2) -> SimpleNamespace:
-    """State on flat ground of robots with roll, pitch and yaw [rad] and a base at a height [m]."""
+    """Return the state of robots on flat ground with roll, pitch and yaw [rad] and a base height [m]."""
     robot = RobotDescription.load("minitaur")
     world = ScriptedWorld(robot, len(angles), PhysicalParams.nominal(robot))
     position = np.tile([0.0, 0.0, height], (len(angles), 1))

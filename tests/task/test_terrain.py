@@ -1,4 +1,4 @@
-"""Terrain in tasks: starts, levels, falls and heights over the ground, on MuJoCo; scans of heights worked by hand."""
+"""Terrain in tasks: starts, curriculum, falls and heights in MuJoCo, and height scans worked by hand."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from resuming import assert_resumes_exactly
+from exact_resume import assert_resumes_exactly
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import on_terrain
 from surefoot.evaluation.rollout import EpisodeRecorder
-from surefoot.evaluation.tracking import distance_along, kept_up
+from surefoot.evaluation.tracking import distance_along, is_successful
 from surefoot.robot import RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.config import load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.height_scan import AROUND, HeightScanner, ScanConfig, scan_heights
+from surefoot.task.height_scan import CRITIC_GRID, HeightScanner, ScanConfig, scan_heights
 from surefoot.task.state import base_height
 from surefoot.task.terminations import is_low, is_tilted
 from surefoot.task.terrain import TerrainConfig
@@ -37,10 +37,10 @@ def env() -> LocomotionEnv:
     return LocomotionEnv(task, 4, find_world("mujoco"), 0, threads=1)
 
 
-def test_robots_rest_on_the_middles_of_their_tiles(env):
+def test_robots_start_at_the_centres_of_their_tiles(env):
     env.reset(seed=0)
     starts = env.component(TerrainCurriculum).tiles.starts
-    # The base rests some centimetres from where its feet have their middle, and turns with the robot.
+    # The base is some centimetres away from the centre of the feet, and rotates with the robot.
     yaw = env.state.truth.roll_pitch_yaw[:, 2]
     away = np.column_stack([env.state.truth.base_position_world[:, :2] - starts[0, [0, 1, 0, 1]], np.zeros(4)])
     rest = in_heading_frame(away, yaw)
@@ -55,7 +55,7 @@ def test_robots_rest_on_the_middles_of_their_tiles(env):
     np.testing.assert_allclose(feet[..., 2] - env.state.ground.height(feet[..., :2]), radius, atol=0.006)
 
 
-def test_levels_rise_with_what_a_robot_covers_and_fall_with_it():
+def test_levels_follow_the_covered_distance():
     curriculum = TerrainCurriculum(FIELD, FIELD.build(0), 4, 0)
     rows, none = np.arange(4), np.zeros(4, bool)
     curriculum.begin(rows, none)
@@ -76,19 +76,19 @@ def test_levels_rise_with_what_a_robot_covers_and_fall_with_it():
     assert curriculum.level.tolist() == [1, 0, 1, 0]
     go([0.51, 0.49, 1.0, 1.0], fell=np.array([False, False, True, False]))
     assert curriculum.level.tolist() == [1, 0, 0, 1]
-    # An episode that led too short a way says nothing of the terrain; nor does one that led around in a circle.
+    # An episode with a short commanded path, or a path in a circle, does not change the level.
     go([1.0] * 4, steps=4)
     commanded, led = go([1.0] * 4, turn=np.pi / 3)
     np.testing.assert_allclose(commanded, 3.0)
     np.testing.assert_allclose(led, 0.0, atol=1e-12)
     assert curriculum.level.tolist() == [1, 0, 0, 1]
-    # Beyond the last level any one follows.
+    # A random level follows the last one.
     curriculum.level[:] = 2
     go([1.0] * 4)
     assert set(curriculum.level.tolist()) <= {0, 1, 2}
 
 
-def test_a_curriculum_counts_the_ways_that_success_is_judged_by(env):
+def test_the_curriculum_and_the_success_rate_use_the_same_distances(env):
     env.reset(seed=5)
     recorder = EpisodeRecorder(env, pushed=False)
     rng = np.random.default_rng(1)
@@ -105,7 +105,7 @@ def test_a_curriculum_counts_the_ways_that_success_is_judged_by(env):
             if env.component(TerrainCurriculum).commanded[i]
             else 0.0
         )
-        assert kept_up(trace) == bool(0.7 <= share <= 1.25 or not env.component(TerrainCurriculum).commanded[i])
+        assert is_successful(trace) == bool(0.7 <= share <= 1.25 or not env.component(TerrainCurriculum).commanded[i])
     assert np.abs(env.component(TerrainCurriculum).covered).max() > 0.01
 
 
@@ -119,7 +119,7 @@ def test_an_environment_on_terrain_resumes_exactly(env):
     assert len(env.privileged_columns) == env.privileged().shape[1] == len(set(env.privileged_columns))
 
 
-def test_tilt_and_height_count_from_the_course_of_the_ground():
+def test_tilt_and_height_are_relative_to_the_smoothed_ground():
     task, _ = load_task("go2-steer")
     env = LocomotionEnv(on_terrain(task, "slope:25"), 1, find_world("mujoco"), 0, threads=1)
     angles = np.array([[0.0, -np.radians(25), 0.0]])
@@ -136,19 +136,19 @@ def test_tilt_and_height_count_from_the_course_of_the_ground():
     assert base_height(truth.base_position_world, env.state.ground)[0] == pytest.approx(0.3, abs=1e-6)
 
 
-def test_a_scan_has_the_heights_around_a_turned_robot():
+def test_a_scan_has_the_heights_around_a_rotated_robot():
     robot, ground = RobotDescription.load("go2"), make_terrain("stairs:0.10")
-    points, length = AROUND.points(robot), robot.leg_geometry.length
+    points, length = CRITIC_GRID.points(robot), robot.leg_geometry.length
     assert points.shape == (91, 2)
     position, yaw = np.array([[1.0, 0.0, 0.3]] * 2), np.array([0.0, np.pi])
-    heights = dict(zip(AROUND.columns(), scan_heights(ground, points, position, yaw).T, strict=True))
-    # 4/4 of a leg of .426 m ahead is on the second tread, behind on the level place.
+    heights = dict(zip(CRITIC_GRID.columns(), scan_heights(ground, points, position, yaw).T, strict=True))
+    # One leg length of 0.426 m ahead is on the second tread, and behind on the level area.
     assert length == pytest.approx(0.426)
     assert heights["ground4.middle"].round(6).tolist() == [-0.1, -0.3]
     assert heights["ground-4.left2"].round(6).tolist() == [-0.3, -0.1]
 
 
-def test_a_map_of_heights_is_late_and_has_its_errors():
+def test_a_height_map_has_delay_and_errors():
     robot, ground = RobotDescription.load("go2"), make_terrain("slope:20")
     exact = HeightScanner(ScanConfig(0.0, 0.0, 0.0, 0.0, 2), robot, 2, 0)
     rough = HeightScanner(ScanConfig(0.02, 0.0, 0.0, 0.1, 0), robot, 2, 0)
@@ -170,23 +170,29 @@ def test_a_map_of_heights_is_late_and_has_its_errors():
         ({"sizes": {"stair": (0.1, 0.2)}}, "terrain 'stair' does not exist"),
         ({"sizes": {"stairs": (0.1, 2.0)}}, "size is 2 m"),
         ({"sizes": {"stairs": (0.1, 0.2)}, "shares": {"slope": 1.0}}, "terrain.shares.slope is not a kind"),
-        ({"sizes": {"stairs": (0.1, 0.2)}, "columns": 60}, "terrain.columns is 60; it must be 1, the kinds, to 40"),
+        (
+            {"sizes": {"stairs": (0.1, 0.2)}, "columns": 60},
+            "terrain.columns is 60; it must be 1 .the number of kinds. to 40 ",
+        ),
         ({"sizes": {"stairs": (0.1, 0.2)}, "levels": 2}, "terrain.start_level is 2"),
-        ({"sizes": {"stairs": (0.1, 0.2)}, "shares": {"stairs": 0.0}}, "terrain.shares are all 0; one must be more"),
+        (
+            {"sizes": {"stairs": (0.1, 0.2)}, "shares": {"stairs": 0.0}},
+            "terrain.shares are all 0; at least one must be above 0",
+        ),
     ],
 )
-def test_a_field_that_does_not_fit_is_refused(values, message):
+def test_an_invalid_field_is_rejected(values, message):
     with pytest.raises(SurefootError, match=message):
         TerrainConfig(**values)
 
 
-def test_kinds_of_share_0_are_left_out():
+def test_kinds_with_share_0_are_excluded():
     sizes = {"stairs": (0.1, 0.2), "slope": (5.0, 10.0), "gaps": (0.1, 0.2), "rough": (0.02, 0.05)}
     config = TerrainConfig(sizes=sizes, shares={"stairs": 0.0, "gaps": 2.0, "rough": 0.0}, columns=3)
     assert config.build(0).kinds == ("slope", "gaps", "gaps")
 
 
-def test_friction_by_place_is_drawn_for_patches_out_to_the_border():
+def test_friction_is_random_for_patches_up_to_the_border():
     config = replace(FIELD, friction=(0.4, 1.2), friction_patch=0.5)
     ground, plain = config.build(3).ground, FIELD.build(3).ground
     # Three by two tiles of 8 m.
@@ -201,5 +207,5 @@ def test_friction_by_place_is_drawn_for_patches_out_to_the_border():
     level = TerrainConfig(friction=(0.4, 1.2)).build(0).ground
     assert level.is_flat
     assert level.friction.shape == (40, 40)
-    with pytest.raises(SurefootError, match="the least factor must come first"):
+    with pytest.raises(SurefootError, match="the smaller factor must come first"):
         TerrainConfig(friction=(1.2, 0.4))

@@ -1,4 +1,4 @@
-"""EpisodeTrace: what is checked, and that a file is whole or refused."""
+"""EpisodeTrace: checks of arrays and meta, and files that are read completely or rejected."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from edited import maxitaur
+from shipped_variants import maxitaur
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
@@ -51,7 +51,7 @@ def trace_arguments(steps: int = 5, motors: int = 8, observations: int = 3) -> d
 
 
 def rewrite(path: Path, **changed: Any) -> None:
-    """Write the .npz file again with some of its arrays changed (None drops one)."""
+    """Rewrite the .npz file with changed arrays (None removes one)."""
     with np.load(path) as file:
         arrays = dict(file)
     arrays.update(changed)
@@ -60,11 +60,11 @@ def rewrite(path: Path, **changed: Any) -> None:
 
 @pytest.fixture
 def saved(tmp_path: Path) -> Path:
-    """Return the path of a good trace file."""
+    """Return the path of a valid trace file."""
     return EpisodeTrace(**trace_arguments(steps=200)).save(tmp_path / "episode.npz")
 
 
-def test_a_saved_trace_comes_back_bit_for_bit(tmp_path: Path) -> None:
+def test_a_saved_trace_is_loaded_bit_for_bit(tmp_path: Path) -> None:
     trace = EpisodeTrace(**trace_arguments())
     back = EpisodeTrace.load(trace.save(tmp_path / "deep" / "er" / "episode.npz"))
     for name in trace_arguments():
@@ -75,7 +75,7 @@ def test_a_saved_trace_comes_back_bit_for_bit(tmp_path: Path) -> None:
     assert back.foot_position_world.shape == (5, 4, 3)
 
 
-def test_a_trace_carries_a_robot_that_does_not_ship_and_no_other(tmp_path: Path) -> None:
+def test_a_trace_contains_only_robots_that_do_not_ship(tmp_path: Path) -> None:
     robot = RobotDescription.load(maxitaur(tmp_path / "mine"))
     arguments = trace_arguments()
     plain = EpisodeTrace(**arguments).save(tmp_path / "plain.npz")
@@ -83,7 +83,7 @@ def test_a_trace_carries_a_robot_that_does_not_ship_and_no_other(tmp_path: Path)
         assert "robot" not in file
     arguments["meta"]["robot"] = "maxitaur"
     with pytest.raises(
-        SurefootError, match="is of robot 'maxitaur', which does not ship; give its folder with --robot"
+        SurefootError, match="is of robot 'maxitaur', which is not built in; give its folder with --robot"
     ):
         EpisodeTrace(**arguments).load_robot()
     path = EpisodeTrace(**arguments, robot_archive=robot.archive).save(tmp_path / "carried.npz")
@@ -95,7 +95,7 @@ def test_a_trace_carries_a_robot_that_does_not_ship_and_no_other(tmp_path: Path)
 
 
 @pytest.mark.parametrize(("width", "fits"), [(8, True), (12, True), (9, False)])
-def test_feedback_has_two_or_three_coordinates_a_leg_or_an_angle_a_motor(width: int, fits: bool) -> None:
+def test_feedback_has_two_or_three_columns_per_leg_or_one_per_motor(width: int, fits: bool) -> None:
     arguments = trace_arguments(motors=12) | {"feedback": np.zeros((5, width))}
     refusal = pytest.raises(SurefootError, match=r"feedback has shape \(5, 9\)")
     with nullcontext() if fits else refusal:
@@ -128,7 +128,7 @@ def test_arrays_are_copies_and_read_only() -> None:
         ("feedback", np.zeros((5, 4)), r"must have \(5, 8\)"),
         ("time", np.array([0.1, 0.2, 0.2, 0.3, 0.4]), "strictly increasing"),
         ("time", np.array([0.0, 0.2, 0.3, 0.4, 0.5]), "strictly increasing"),
-        ("energy", np.array([1.0, 1.0, np.nan, 1.0, 1.0]), "energy row 2 holds nan"),
+        ("energy", np.array([1.0, 1.0, np.nan, 1.0, 1.0]), "energy row 2 is nan"),
         ("energy", -np.ones(5), "0 or above"),
         ("base_position_world", np.full((6, 3), np.inf), "finite or NaN"),
         ("base_quat_world", np.ones((6, 4)), "unit quaternions"),
@@ -138,7 +138,7 @@ def test_arrays_are_copies_and_read_only() -> None:
         ("energy", np.full(5, "x"), "energy holds <U1, but must hold numbers"),
     ],
 )
-def test_bad_arrays_are_refused(name: str, value: np.ndarray, match: str) -> None:
+def test_invalid_arrays_are_rejected(name: str, value: np.ndarray, match: str) -> None:
     with pytest.raises(SurefootError, match=match):
         EpisodeTrace(**{**trace_arguments(), name: value})
 
@@ -156,14 +156,14 @@ def test_bad_arrays_are_refused(name: str, value: np.ndarray, match: str) -> Non
         ({"missed_steps": [0.5]}, r"meta.missed_steps\[0\] is 0.5; it must be a whole number"),
     ],
 )
-def test_bad_meta_is_refused(change: dict[str, Any], match: str) -> None:
+def test_invalid_meta_is_rejected(change: dict[str, Any], match: str) -> None:
     arguments = trace_arguments()
     arguments["meta"] |= change
     with pytest.raises(SurefootError, match=match):
         EpisodeTrace(**arguments)
 
 
-def test_missing_meta_is_named_and_an_episode_without_steps_refused() -> None:
+def test_missing_meta_is_named_and_an_episode_without_steps_rejected() -> None:
     arguments = trace_arguments()
     del arguments["meta"]["world"]
     with pytest.raises(SurefootError, match="world is missing"):
@@ -172,7 +172,7 @@ def test_missing_meta_is_named_and_an_episode_without_steps_refused() -> None:
         EpisodeTrace(**trace_arguments(steps=0))
 
 
-def test_a_file_cut_off_anywhere_is_refused(saved: Path) -> None:
+def test_a_file_cut_off_anywhere_is_rejected(saved: Path) -> None:
     whole = saved.read_bytes()
     for size in np.linspace(0, len(whole) - 1, 40).astype(int):
         saved.write_bytes(whole[:size])
@@ -192,12 +192,12 @@ def test_a_flipped_byte_never_passes_as_other_numbers(saved: Path) -> None:
         except SurefootError as error:
             assert "episode.npz" in str(error)  # noqa: PT017
             assert "\n" not in str(error)  # noqa: PT017
-        else:  # a byte that carries nothing, such as a date in the archive
+        else:  # a byte without effect, such as a date in the archive
             np.testing.assert_array_equal(trace.motor_angle, good.motor_angle)
             assert trace.meta == good.meta
 
 
-def test_other_files_are_refused(tmp_path: Path, saved: Path) -> None:
+def test_other_files_are_rejected(tmp_path: Path, saved: Path) -> None:
     with pytest.raises(SurefootError, match=r"none\.npz: can't be read: No such file"):
         EpisodeTrace.load(tmp_path / "none.npz")
     text = tmp_path / "text.npz"

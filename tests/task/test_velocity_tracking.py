@@ -1,4 +1,4 @@
-"""Errors of following commands, worked by hand."""
+"""Tracking errors, worked by hand."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scripted import ScriptedWorld
+from scripted_world import ScriptedWorld
 
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.config import load_task
@@ -39,7 +39,7 @@ def test_the_error_is_velocity_minus_command_and_is_averaged_over_a_stride() -> 
 
 
 @pytest.mark.parametrize("why", ["over", "diverged"])
-def test_steps_that_do_not_count_leave_no_error(why: str) -> None:
+def test_ignored_steps_leave_no_error(why: str) -> None:
     state, tracking = walking(0.8), VelocityTracking(None)
     tracking.measure(state)
     (state.over if why == "over" else state.truth.diverged)[0] = True

@@ -1,4 +1,4 @@
-"""The page of the paper: numbers from files of results, in words, and the page as a browser shows it."""
+"""Page of the paper: numbers from result files, differences in words, and the page in a browser."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from surefoot.errors import SurefootError
 
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
-    """A root with one table and one summary."""
+    """Return a root folder with one table and one summary."""
     (tmp_path / "results").mkdir()
     rows = ["group,world,mean,error,low,high,gait", "a,home,2.0,0.1,1.8,2.2,trot", "a,away,1.5,0.2,1.1,1.9,trot"]
     (tmp_path / "results/groups.csv").write_text("\n".join([*rows, "b,home,1.0,,,,bound", "c,home,,,,,"]) + "\n")
@@ -33,7 +33,7 @@ def results(tmp_path: Path) -> Path:
     [
         ("goes {groups group=a,world=away: mean ± error x100 0} m/s", "goes 150 ± 20 m/s"),
         ("{groups group=a,world=away: mean [low, high] .2} m", "1.50 [1.10, 1.90] m"),
-        # A single policy has no error.
+        # A single policy has no standard error.
         ("{groups b: mean [low, high] .2} m, {groups b: mean ± error .1} m", "1.00 m, 1.0 m"),
         ("{groups group=a,world=home; b: mean ± error .1}", "2.0 ± 0.1, 1.0"),
         ("{groups group=a,world=home; b: mean mean .1}", "1.5"),
@@ -54,14 +54,14 @@ def test_a_text_is_filled_with_numbers_of_results(results: Path, text: str, fill
         ("groups c: mean [low, high] .2", "has no mean in c"),
         ("groups b: mean [least, most] .2", "has no least in b"),
         ("groups b; c: mean mean .2", "has no mean in a row of b; c"),
-        ("groups group=b: count pattern", "has no column pattern in such rows"),
+        ("groups group=b: count pattern", "has no column pattern in these rows"),
         ("run: calm.power .2", "results/run.json: has no calm.power in its keys"),
-        ("run: gait .2", "is no number: trot"),
+        ("run: gait .2", "is not a number: trot"),
         ("runs: gait", "results has no file runs.csv or runs.json or runs.toml"),
         ("cut: speed .2", "results/cut.json: is not JSON"),
     ],
 )
-def test_a_source_without_a_number_is_refused(results: Path, source: str, piece: str):
+def test_a_source_without_a_number_is_rejected(results: Path, source: str, piece: str):
     (results / "results/cut.json").write_text('{"speed": ')
     with pytest.raises(SurefootError, match=re.escape(piece)):
         fill(results, f"{{{source}}}")
@@ -74,7 +74,7 @@ def test_a_source_without_a_number_is_refused(results: Path, source: str, piece:
         ("2.0 m", "1.50 ± .10 m", "25% less"),
         ("1.0", "4", "4.0 times as much"),
         ("1.00 m/s", "1.004 m/s", "the same"),
-        (".50 m/s", ".66 [.45, .87] m/s", "the interval holds the paper's"),
+        (".50 m/s", ".66 [.45, .87] m/s", "the interval contains the paper's value"),
         ("2.0 m", "3.0 [2.1, 3.9] m", "50% more"),
         ("2.0 m", "3.0 s", ""),
         ("few", "3.0 m", ""),
@@ -82,7 +82,7 @@ def test_a_source_without_a_number_is_refused(results: Path, source: str, piece:
         ("15 to 19 ms", "20 ms", ""),
     ],
 )
-def test_the_difference_in_words(paper: str, ours: str, words: str):
+def test_differences_are_stated_in_words(paper: str, ours: str, words: str):
     assert difference(paper, ours) == words
 
 
@@ -99,14 +99,14 @@ def test_claims_are_listed_by_verdict(repository: Path):
 
 @pytest.fixture(scope="module")
 def page(repository: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The page of the results that ship."""
+    """Return the page of the committed results."""
     path = tmp_path_factory.mktemp("page") / "paper.html"
     assert write_page(repository, path) == []
     return path
 
 
 def shown(root: Path) -> int:
-    """Return how many pictures the page has."""
+    """Return the number of pictures on the page."""
     return sum(len(one.find_files(root)) for section in load_content().sections for one in section.pictures)
 
 
@@ -115,10 +115,14 @@ def shown(root: Path) -> int:
     [
         ("Section VI-A: gaits that emerge", "gaits, policies trained to the end", r"\d+ \w+(, \d+ \w+)*"),
         ("Section VI-A: from scratch", "improved: speed in simulation", r"\d?\.\d\d \[-?\d?\.\d\d, \d?\.\d\d\] m/s"),
-        ("Section VI-B: a hundred controllers", "top three: speed at home", r"\d\.\d\d ± \d\.\d\d m/s"),
+        (
+            "Section VI-B: a hundred controllers",
+            "top three: speed in the training simulator",
+            r"\d\.\d\d ± \d\.\d\d m/s",
+        ),
     ],
 )
-def test_a_line_of_the_page_has_the_number_of_the_results(page: Path, section: str, line: str, number: str):
+def test_a_line_of_the_page_has_the_number_from_the_results(page: Path, section: str, line: str, number: str):
     (text,) = (
         part for part in page.read_text(encoding="utf-8").split("<h2") if part.partition(">")[2].startswith(section)
     )
@@ -127,7 +131,7 @@ def test_a_line_of_the_page_has_the_number_of_the_results(page: Path, section: s
     assert re.fullmatch(number, cells[line]), cells[line]
 
 
-def test_the_page_holds_every_section_and_picture_and_loads_nothing(page: Path, repository: Path):
+def test_the_page_has_every_section_and_picture_and_loads_nothing(page: Path, repository: Path):
     text = page.read_text(encoding="utf-8")
     content = load_content()
     assert text.count("<h2") == 2 + len(content.sections)

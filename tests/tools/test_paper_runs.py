@@ -35,13 +35,13 @@ def test_the_page_is_written_from_a_clone(repository: Path, tmp_path: Path):
 
 @pytest.fixture
 def shipped(repository: Path, tmp_path: Path) -> Path:
-    """A folder of runs in which the trot is trained."""
+    """Return a folder of runs in which the trot is trained."""
     (tmp_path / "runs/policies").mkdir(parents=True)
     (tmp_path / "runs/policies/trot.onnx").write_bytes((repository / "policies/trot.onnx").read_bytes())
     return tmp_path / "runs"
 
 
-def test_runs_are_made_once_and_go_on_after_a_stop(
+def test_runs_are_made_once_and_continue_after_a_stop(
     repository: Path, shipped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     runs_made: list[str] = []
@@ -70,11 +70,11 @@ def test_runs_are_made_once_and_go_on_after_a_stop(
     done = surefoot(*words)
     assert done.returncode == 0, done.stderr
     assert runs_made == ["once", "stopped", "stopped"]
-    assert "results/evaluations.csv: is there" in done.stderr
+    assert "results/evaluations.csv: exists" in done.stderr
     page = (shipped / "paper.html").read_text()
     assert paper_runs.QUICK_NOTE.split(":")[0] in page
     assert f"{float(row['speed_mean']):.2f} ± {float(row['speed_std']):.2f} m/s" in page
-    assert "not there: results/evaluations gallop" in done.stdout
+    assert "missing: results/evaluations gallop" in done.stdout
 
 
 @pytest.mark.slow
@@ -97,7 +97,7 @@ def test_a_command_that_fails_ends_the_runs_in_one_line(
     assert done.stderr.endswith("surefoot: error: surefoot evaluate none.onnx: ended with exit code 2\n")
 
 
-def test_every_file_that_the_page_reads_is_made_by_a_run_or_is_of_the_clone(repository: Path):
+def test_every_file_of_the_page_is_made_by_a_run_or_in_the_clone(repository: Path):
     folders = {Path(stage.makes).with_suffix("").parts[:2] for stage in paper_runs.STAGES}
     sections = load_content().sections
     lines = [line for part in sections for item in part.items for line in item.lines()]
@@ -128,12 +128,12 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     calls: list[list[str]] = []
 
     def main(words: list[str]) -> int:
-        """Take the words as the command would, and leave what later runs need."""
+        """Parse the words as the command would, and write the files that later runs need."""
         calls.append(words)
         length = 2 if " ".join(words[:2]) in PARSERS else 1
         name, rest = " ".join(words[:length]), words[length:]
         if name in PARSERS:
-            # Ranges and bounds that --randomize and --push-force take are words like others here.
+            # Ranges of --randomize and --push-force are ordinary words here.
             parse(PARSERS[name], rest, name)
         if name == "evaluate":
             print(json.dumps({"policy": str(rest[0]), "stance": {}}))
@@ -176,7 +176,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     assert studies[0][2:6] == ["--workers", "2", "--steps", "60000"]
     assert " ".join(calls[-1]) == "study search gallop --out results/search --workers 2 --trials 4 --steps 60000"
 
-    # The full version has none of the words that make it small, and what was stopped goes on.
+    # The full version has no options of the small one, and continues an interrupted search.
     calls.clear()
     (tmp_path / "results/search/search.yaml").touch()
     full = PaperRuns(repository, tmp_path, False, ray="head:6379")

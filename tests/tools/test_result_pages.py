@@ -1,4 +1,4 @@
-"""Pages of results are what their templates and the files of results make."""
+"""Pages of results equal their templates with numbers from result files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.errors import SurefootError
 
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
-    """Return a root with files of results."""
+    """Return a root folder with result files."""
     (tmp_path / "results" / "pushes").mkdir(parents=True)
     rows = ["name,speed,fell,falls,episodes,gait", "trot,0.6615,0.27,27,100,trot", "b/bullet,-2.05,0,1,20,other"]
     (tmp_path / "results" / "runs.csv").write_text("\n".join(rows) + "\n")
@@ -55,8 +55,8 @@ def test_a_source_is_printed_in_its_format(results: Path, source: str, printed: 
         ("runs all gait=pace: max speed", "results/runs.csv: has no rows of gait=pace"),
         ("found: params.friction.2", "has no params.friction.2"),
         ("runs trot: sped", "has no sped"),
-        ("runs trot: gait .1", "is no number: trot"),
-        ("runs trot speed", "is no source"),
+        ("runs trot: gait .1", "is not a number: trot"),
+        ("runs trot speed", "is not a source"),
     ],
 )
 def test_a_source_that_does_not_exist_is_reported_with_its_line(results: Path, source: str, pieces: str):
@@ -65,7 +65,7 @@ def test_a_source_that_does_not_exist_is_reported_with_its_line(results: Path, s
     assert str(raised.value).startswith("It has ")
 
 
-def test_a_table_has_a_row_for_each_item(results: Path):
+def test_a_table_has_one_row_per_item(results: Path):
     template = """# Runs
 
 :::table trot = a trot, \\
@@ -96,11 +96,11 @@ def test_a_table_has_a_row_for_each_item(results: Path):
     assert changes("a\nb\n", "a\nc\n") == ["2: has 'b', the results 'c'"]
 
 
-def test_a_source_goes_over_the_end_of_a_line(results: Path):
+def test_a_source_may_continue_on_the_next_line(results: Path):
     assert write_page(results, "It goes {runs\ntrot: speed .2} m/s.\n") == "It goes 0.66 m/s.\n"
 
 
-def test_an_unknown_folder_is_refused():
+def test_an_unknown_folder_is_rejected():
     with pytest.raises(SurefootError, match="nowhere: no such template; there are "):
         pages(["nowhere"])
 
@@ -112,8 +112,8 @@ def test_a_page_of_results_is_up_to_date(name: str, capsys: pytest.CaptureFixtur
     assert main(["--check", name]) == 0, capsys.readouterr().out
 
 
-def test_every_page_of_results_is_written_from_its_files():
-    """A page that nothing writes could have any number."""
+def test_every_page_of_results_is_generated():
+    """A page that is written by hand could contain wrong numbers."""
     assert sorted(ROOT.glob("results/*/README.md")) == [path for path in sorted(pages([])) if "results" in path.parts]
 
 

@@ -1,4 +1,4 @@
-"""The robot and worlds that tests of this package share."""
+"""Fixtures shared by the tests of worlds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from surefoot.world.sim_world import SimWorld
 
 @pytest.fixture
 def make_world(robot: RobotDescription) -> Callable[..., SimWorld]:
-    """Make a world of so many robots, with parameters by name and the rest as `SimWorld` takes it."""
+    """Return a factory of worlds, with physical parameters by name and arguments of `SimWorld`."""
 
     def make(
         num_envs: int = 1,
@@ -33,7 +33,7 @@ def make_world(robot: RobotDescription) -> Callable[..., SimWorld]:
 
 @pytest.fixture(params=["mujoco", "bullet"])
 def engine(request: pytest.FixtureRequest) -> str:
-    """Give the name of each engine."""
+    """Parametrize tests over the names of engines."""
     if request.param != "mujoco":
         pytest.importorskip("pybullet")
     name: str = request.param
@@ -42,7 +42,7 @@ def engine(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="session")
 def varied() -> Callable[..., dict[str, np.ndarray]]:
-    """Different values of many parameters for so many robots."""
+    """Return a function that returns different values of many parameters for a number of robots."""
 
     def values(num_envs: int, bullet: bool = False) -> dict[str, np.ndarray]:
         draw = np.random.default_rng(7)
@@ -75,7 +75,7 @@ def varied() -> Callable[..., dict[str, np.ndarray]]:
 
 @pytest.fixture
 def trot(robot: RobotDescription) -> Callable[[int], np.ndarray]:
-    """Motor angles (8,) of an open loop trot at a control step; it keeps all parts of the robot busy."""
+    """Return a function with the motor angles (8,) of an open-loop trot at a control step."""
 
     def angles(step: int) -> np.ndarray:
         phase = 2 * np.pi * 2.0 * 0.006 * step + np.array([0, np.pi, np.pi, 0])
@@ -86,7 +86,7 @@ def trot(robot: RobotDescription) -> Callable[[int], np.ndarray]:
 
 @pytest.fixture
 def assert_same() -> Callable[..., None]:
-    """Compare two dataclasses of arrays to the last bit, NaN equal to NaN."""
+    """Return a function that compares two dataclasses of arrays to the last bit, with NaN equal to NaN."""
 
     def compare(a: Any, b: Any, rows_a: Any = slice(None), rows_b: Any = slice(None)) -> None:
         for name in vars(a):

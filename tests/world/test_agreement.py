@@ -1,4 +1,4 @@
-"""The same robot in MuJoCo and in Bullet: what must agree, and how far apart the rest may be."""
+"""Agreement of the same robot in MuJoCo and in Bullet."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ ENGINES = ("mujoco", "bullet")
 def both(
     robot: RobotDescription, num_envs: int = 1, config: WorldConfig | None = None, **values: object
 ) -> list[SimWorld]:
-    """The same robots in MuJoCo and in Bullet."""
+    """Return the same robots in MuJoCo and in Bullet."""
     params = PhysicalParams.nominal(robot, num_envs).with_values(robot, **values)
     return [SimWorld(robot, num_envs, params, config=config, engine=engine) for engine in ENGINES]
 
 
 def follow(world: SimWorld, path: Callable[[int], np.ndarray], steps: int) -> np.ndarray:
-    """True motor angles (steps, N, M) while the world follows a path of motor angles."""
+    """Return the true motor angles (steps, N, M) while the world follows commanded motor angles."""
     angles = []
     for k in range(steps):
         world.step(path(k))
@@ -45,14 +45,14 @@ def rms(difference: np.ndarray) -> float:
 
 
 def lift(world: SimWorld, height: float) -> None:
-    """Put all robots so much higher."""
+    """Raise all robots by a height [m]."""
     every = np.arange(world.num_envs)
     world.engine.move_base(every, np.array([[0.0, 0.0, height]] * len(every)))
     world.engine.observe(every)
 
 
 def bullet_mass_matrix(engine: BulletEngine) -> tuple[float, np.ndarray, np.ndarray]:
-    """Mass, centre of mass in the world and inertia about it (3, 3) of the whole first robot."""
+    """Return mass, centre of mass in the world and inertia about it (3, 3) of the first robot."""
     p, model = engine._p, engine.models[0]
     parts = []
     for link in model.links.values():
@@ -82,7 +82,7 @@ def whole(parts: list[tuple[float, np.ndarray, np.ndarray]]) -> tuple[float, np.
     return mass, centre, inertia
 
 
-def test_masses_and_the_whole_robots_inertia_agree(robot: RobotDescription):
+def test_masses_and_total_inertia_agree(robot: RobotDescription):
     mujoco_world, bullet_world = both(robot)
     for world in (mujoco_world, bullet_world):
         world.engine.set_state(np.array([0]), world.engine.initial_state)
@@ -102,7 +102,7 @@ def test_resting_poses_agree(robot: RobotDescription):
     np.testing.assert_allclose(*feet, atol=1e-7)
 
 
-def test_feet_sink_in_by_the_weight_over_their_stiffness(robot: RobotDescription):
+def test_foot_penetration_is_weight_over_stiffness(robot: RobotDescription):
     # 73.3 N on four feet of 1500, 3000 and 12000 N/m: 12.2, 6.1 and 1.5 mm each, in one batch.
     stiffness, heights = np.array([1500.0, 3000.0, 12_000.0]), []
     for world in both(robot, 3, contact_stiffness=stiffness):
@@ -115,8 +115,8 @@ def test_feet_sink_in_by_the_weight_over_their_stiffness(robot: RobotDescription
     np.testing.assert_allclose(*heights, atol=1e-4)
 
 
-def test_a_robot_in_the_air_answers_a_push_alike(robot: RobotDescription):
-    # No contact: masses, inertias, loops, motors and the frames of base, force and rates, all at once.
+def test_a_robot_in_the_air_responds_equally_to_a_push(robot: RobotDescription):
+    # Without contact, this compares masses, inertias, loops, motors and the frames of base, force and rates.
     results = []
     for world in both(robot, control_latency=0.0):
         lift(world, 1.0)
@@ -140,7 +140,7 @@ def test_a_robot_in_the_air_answers_a_push_alike(robot: RobotDescription):
 
 
 def sines(robot: RobotDescription) -> Callable[[int], np.ndarray]:
-    """Each leg through a sine of its own, in swing and extension."""
+    """Return a path with a different sine for each leg, in swing and extension."""
 
     def path(k: int) -> np.ndarray:
         phase = 2 * np.pi * np.array([1.0, 2.0, 3.0, 4.0]) * 0.006 * k
@@ -150,7 +150,7 @@ def sines(robot: RobotDescription) -> Callable[[int], np.ndarray]:
 
 
 def steps(robot: RobotDescription) -> Callable[[int], np.ndarray]:
-    """Each leg through steps of its own, after 20 control steps and after 60."""
+    """Return a path with different steps for each leg, after 20 and after 60 control steps."""
 
     def path(k: int) -> np.ndarray:
         size = np.array([0.1, 0.2, 0.3, 0.4]) * ((k >= 20) - 2.0 * (k >= 60))
@@ -161,11 +161,11 @@ def steps(robot: RobotDescription) -> Callable[[int], np.ndarray]:
 
 @pytest.mark.parametrize("path", [sines, steps])
 @pytest.mark.parametrize("actuator", ["dc", "constraint"])
-def test_legs_on_the_rack_go_alike(robot: RobotDescription, path, actuator):
+def test_legs_on_the_rack_move_equally(robot: RobotDescription, path, actuator):
     config = WorldConfig(rack=True, actuator=actuator, threads=1)
     one, other = (follow(world, path(robot), 100) for world in both(robot, config=config))
     assert np.ptp(one, axis=0).min() > 0.1
-    # .02 rad would do; without contact the two agree far better.
+    # 0.02 rad would suffice; without contact the engines agree far better.
     assert rms(other - one) < 0.001
 
 
@@ -185,7 +185,7 @@ CHANGED = {
 }
 
 
-def test_each_parameter_of_legs_and_motors_acts_alike(robot: RobotDescription):
+def test_each_parameter_of_legs_and_motors_has_the_same_effect(robot: RobotDescription):
     # Robot 0 is nominal, robot k has one parameter changed.
     count = len(CHANGED) + 1
     values = {name: np.full(count, robot.nominal_params()[name]) for name in CHANGED}
@@ -203,8 +203,8 @@ def test_each_parameter_of_legs_and_motors_acts_alike(robot: RobotDescription):
 
 
 @pytest.mark.parametrize("friction", [0.1, 0.2])
-def test_a_robot_slides_alike(robot: RobotDescription, friction):
-    # Twice the friction bound: it slides, with what is left of the push.
+def test_a_robot_slides_equally(robot: RobotDescription, friction):
+    # Twice the friction bound: the robot slides with the rest of the push.
     slid = []
     for world in both(robot, contact_friction=friction):
         for _ in range(40):
@@ -214,13 +214,13 @@ def test_a_robot_slides_alike(robot: RobotDescription, friction):
         for _ in range(50):
             world.step(world.resting_angles)
         slid.append(world.foot_positions()[0, :, 0].mean() - start)
-    # mu g t^2 / 2 with t = .3 s: 44 mm at mu .1.
+    # mu g t^2 / 2 with t = 0.3 s: 44 mm at mu 0.1.
     assert slid[0] == pytest.approx(friction * 9.81 * 0.3**2 / 2, rel=0.2)
     assert slid[1] == pytest.approx(slid[0], rel=0.1)
 
 
-def test_spinning_friction_stops_a_turning_robot_alike(robot: RobotDescription):
-    # On slippery feet the robot turns on the spot; feet that resist with c f_n each take c m g t / I_zz of its speed.
+def test_spinning_friction_stops_a_turning_robot_equally(robot: RobotDescription):
+    # On slippery feet the robot spins; feet that resist with c f_n reduce its speed by c m g t / I_zz.
     turned = []
     for world in both(robot, 2, contact_friction=0.05, contact_spinning_friction=[0.0, 0.1]):
         for _ in range(20):
@@ -230,14 +230,14 @@ def test_spinning_friction_stops_a_turning_robot_alike(robot: RobotDescription):
             world.step(world.resting_angles)
         rates = world.readings().angular_velocity_base[:, 2]
         turned.append(rates[0] - rates[1])
-    # Readings are 20 ms old, so that 40 ms are significant; .27 kg m2 and the legs.
+    # Readings are 20 ms old, so that 40 ms are significant; 0.27 kg m2 and the legs.
     assert turned[0] == pytest.approx(0.1 * WEIGHT * 0.04 / 0.27, rel=0.25)
     assert turned[1] == pytest.approx(turned[0], rel=0.15)
 
 
 @pytest.mark.parametrize(("name", "value"), [("base_mass_ratio", 1.5), ("base_inertia_ratio", 3.0)])
-def test_the_base_gets_heavier_alike(robot: RobotDescription, name, value):
-    # A push from the side, in the air: mass shows in the speed, inertia in the rates.
+def test_mass_and_inertia_of_the_base_have_the_same_effect(robot: RobotDescription, name, value):
+    # A lateral push in the air: mass affects the speed, inertia affects the rates.
     results = []
     for world in both(robot, 2, control_latency=0.0, **{name: [1.0, value]}):
         lift(world, 1.0)
@@ -251,8 +251,8 @@ def test_the_base_gets_heavier_alike(robot: RobotDescription, name, value):
     assert np.abs((other - other_nominal) - (one - one_nominal)).max() < 0.1 * effect
 
 
-def test_a_dropped_robot_lands_alike(robot: RobotDescription):
-    # The law of contact is a spring and a damper: an explicit step and an implicit one of 1 ms both follow it.
+def test_a_dropped_robot_lands_equally(robot: RobotDescription):
+    # Contact is a spring and a damper, which explicit and implicit steps of 1 ms both approximate well.
     heights, depths = [], []
     for world in both(robot, control_step=0.001):
         lift(world, 0.3)
@@ -269,8 +269,8 @@ def test_a_dropped_robot_lands_alike(robot: RobotDescription):
 
 
 @pytest.mark.parametrize("name", ["go2", "pupper_v2"])
-def test_rotors_resist_the_turning_of_their_joints_alone(name: str):
-    """Hips swing legs on a rack while knees are free, which an inertia added to the calves would swing along."""
+def test_rotors_resist_only_rotations_of_their_joints(name: str):
+    """Hips swing legs on a rack while knees are free; inertia added to the calves would change their motion."""
     robot = RobotDescription.load(name)
     values = {"servo_kp": np.tile([40.0, 40.0, 0.0], 4), "servo_kd": np.tile([2.0, 2.0, 0.0], 4)}
     free = {"motor_friction": 0.0, "motor_viscous_friction": 0.0, "load_friction": 0.0, "torque_limit": 100.0}
@@ -292,11 +292,11 @@ TILTS = {
     "slope along x": np.array([[np.cos(LEAN), 0, -np.sin(LEAN)], [0, 1, 0], [np.sin(LEAN), 0, np.cos(LEAN)]]),
     "slope along y": np.array([[1, 0, 0], [0, np.cos(LEAN), -np.sin(LEAN)], [0, np.sin(LEAN), np.cos(LEAN)]]),
 }
-"""How a robot is turned to stand on a slope."""
+"""Rotations with which a robot stands on a slope."""
 
 
 def cells(kind: str, wall: float = 0.0, height: float = 0.04) -> Ground:
-    """A ground around the origin of 2 m: slopes through it, a step up at x = `wall`, or rough ground."""
+    """Return a ground of 2 m around the origin: a slope through it, a step up at x = `wall`, or rough ground."""
     at = CELL * (np.arange(CELLS + 1) - CELLS / 2)
     x, y = np.meshgrid(at, at, indexing="ij")
     if kind in TILTS:
@@ -308,7 +308,7 @@ def cells(kind: str, wall: float = 0.0, height: float = 0.04) -> Ground:
 
 
 def stand(world: SimWorld, flat: SimWorld, turn: np.ndarray, rise: float) -> None:
-    """Put a robot as it rests on flat ground, turned with it about the origin and so much higher."""
+    """Place a robot as it rests on flat ground, rotated with the ground about the origin and raised by a height."""
     only, engine = np.array([0]), world.engine
     engine.set_state(only, flat.engine.get_state(only))
     if isinstance(engine, MujocoEngine):
@@ -333,10 +333,10 @@ def stand(world: SimWorld, flat: SimWorld, turn: np.ndarray, rise: float) -> Non
         ("minitaur", "rough", 0.02),
     ],
 )
-def test_feet_stand_at_the_same_places_of_uneven_ground(name: str, kind: str, rise: float):
+def test_feet_stand_at_the_same_positions_on_uneven_ground(name: str, kind: str, rise: float):
     robot = RobotDescription.load(name)
     ground, places = cells(kind), []
-    # Bullet's own friction would hold feet where they touch first; soles of .999 of the stiffness are our law in both.
+    # Bullet's own friction would hold feet at their first contact; a shear ratio of 0.999 selects our model in both.
     worlds = both(robot, config=WorldConfig(ground=ground, threads=1), contact_shear_ratio=0.999)
     for world, flat in zip(worlds, both(robot), strict=True):
         stand(world, flat, TILTS.get(kind, np.eye(3)), rise)
@@ -347,8 +347,8 @@ def test_feet_stand_at_the_same_places_of_uneven_ground(name: str, kind: str, ri
     np.testing.assert_allclose(*places, atol=1e-3)
 
 
-def test_a_robot_that_is_turned_walks_as_one_that_is_not(robot: RobotDescription):
-    # Alike but for the ground's friction, whose bound is a circle.
+def test_a_rotated_robot_walks_like_one_that_is_not(robot: RobotDescription):
+    # Equal except for friction, whose bound is a circle.
     at, turn = np.array([0.3, -0.2]), 2.0
     for world in both(robot, num_envs=2, config=WorldConfig(ground=Ground(np.zeros((40, 40, 2, 2)), CELL), threads=1)):
         world.place([0, 1], np.array([np.zeros(2), at]), np.array([0.0, turn]))
@@ -365,8 +365,10 @@ def test_a_robot_that_is_turned_walks_as_one_that_is_not(robot: RobotDescription
 
 @pytest.mark.parametrize("shear", [1.0, 0.999])
 @pytest.mark.parametrize("ground", [FLAT, Ground(np.zeros((40, 40, 2, 2)), CELL)], ids=["plane", "cells"])
-def test_feet_slide_on_slippery_patches_and_hold_on_others_alike(robot: RobotDescription, ground: Ground, shear: float):
-    # 20 N forward: friction of .09 of a robot's weight gives way, at (20 - 6.6) N / 7.5 kg, 5 cm in .24 s; .9 of it
+def test_feet_slide_on_slippery_patches_and_stick_on_others_equally(
+    robot: RobotDescription, ground: Ground, shear: float
+):
+    # 20 N forward: friction of 0.09 of a robot's weight gives way, at (20 - 6.6) N / 7.5 kg, 5 cm in 0.24 s; 0.9 of it
     # holds. Patches lie side by side: the first robot stands on both of them, the second one on the left, slippery one.
     ground = replace(ground, friction=np.array([[1.0, 0.1]]), patch=1.0)
     config, moved = WorldConfig(ground=ground, threads=1), []
@@ -384,11 +386,11 @@ def test_feet_slide_on_slippery_patches_and_hold_on_others_alike(robot: RobotDes
     for way in moved:
         assert way[1].min() > 0.04
         assert np.abs(way[0, ~left]).max() < 0.005 < way[0, left].min()
-    np.testing.assert_allclose(*moved, atol=3e-3)  # with give and without it
+    np.testing.assert_allclose(*moved, atol=3e-3)  # with compliance and without
 
 
-def test_a_wall_stops_feet_alike(robot: RobotDescription):
-    # 12 N press two feet of 3000 N/m into a wall 5 mm before them, by 2 mm each.
+def test_a_wall_stops_feet_equally(robot: RobotDescription):
+    # 12 N press two feet of 3000 N/m into a wall 5 mm ahead of them, by 2 mm each.
     places, front = [], robot.leg_mounts[:, 0] > 0
     (flat,) = both(robot)[:1]
     wall = flat.foot_positions()[0, front, 0].max() + robot.five_bar.foot_radius + 0.005
@@ -403,7 +405,7 @@ def test_a_wall_stops_feet_alike(robot: RobotDescription):
     np.testing.assert_allclose(*places, atol=1e-3)
 
 
-def test_a_wall_holds_back_feet_that_slide_down_it_alike(robot: RobotDescription):
+def test_wall_friction_slows_sliding_feet_equally(robot: RobotDescription):
     # A push presses two feet of a falling robot into a wall: with more friction they fall less.
     fallen, front = [], robot.leg_mounts[:, 0] > 0
     (flat,) = both(robot)[:1]
@@ -422,7 +424,7 @@ def test_a_wall_holds_back_feet_that_slide_down_it_alike(robot: RobotDescription
     assert np.all(fallen[0] > fallen[2] + 0.01)
 
 
-def test_a_robot_on_its_back_lies_on_a_slope_alike():
+def test_a_robot_on_its_back_lies_on_a_slope_equally():
     robot, heights = RobotDescription.load("go2"), []
     ground = cells("slope along x")
     for world, flat in zip(both(robot, config=WorldConfig(ground=ground, threads=1)), both(robot), strict=True):

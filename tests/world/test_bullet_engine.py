@@ -1,4 +1,4 @@
-"""`SimWorld` on Bullet: the model that Bullet has, exactness, and what only this engine must take care of."""
+"""`SimWorld` with Bullet: its model, parameters, contacts and clients."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.rotations import xyzw_matrix
 from surefoot.world import bullet_model
-from surefoot.world.bullet_kernels import NEAR, pin_kernel, sole_kernel
+from surefoot.world.bullet_kernels import CONTACT_RANGE, pin_kernel, sole_kernel
 from surefoot.world.bullet_model import BulletModel, BulletSettings
 from surefoot.world.ground import FLAT, Ground, uneven_floor
 from surefoot.world.ground_contact import sphere_contacts
@@ -32,7 +32,7 @@ def make_world(make_world) -> Callable[..., SimWorld]:
 
 
 def loop_gap(world: SimWorld) -> float:
-    """How far apart the two ends of a loop's pin are at most [m]."""
+    """Return the maximum distance between the two ends of a loop's pin [m]."""
     model, worst = world.engine.models[0], 0.0
     for loop in world.robot.loops:
         ends = []
@@ -48,17 +48,17 @@ def loop_gap(world: SimWorld) -> float:
 # --- the model --------------------------------------------------------------------------------------------
 
 
-def test_other_masses_than_the_files_are_refused(robot):
+def test_masses_that_differ_from_the_file_are_rejected(robot):
     model = BulletModel(robot, WorldConfig(), BulletSettings())
     link = model.links["front_left_2_lower"]
-    # What a mass alone does: Bullet takes the inertia of the foot's little sphere.
+    # Given only a mass, Bullet uses the inertia of the foot's small sphere.
     pybullet.changeDynamics(model.body, link, mass=model.mass["front_left_2_lower"][0], physicsClientId=model.client)
     with pytest.raises(SurefootError, match=r"link 'front_left_2_lower': Bullet has mass 0\.086 kg and moments"):
         model.check_masses(model.mass)
 
 
 @pytest.mark.parametrize(("i", "friction", "stiffness", "spin"), [(0, 0.7, 3000.0, 0.004), (1, 1.0, 5000.0, 0.01)])
-def test_feet_have_their_robots_contact_and_nothing_is_damped(make_world, i, friction, stiffness, spin):
+def test_feet_have_the_robots_contact_parameters_and_no_damping(make_world, i, friction, stiffness, spin):
     contact = {"friction": [0.7, 1.0], "stiffness": [3000.0, 5000.0], "spinning_friction": [0.004, 0.01]}
     world = make_world(2, **{f"contact_{name}": values for name, values in contact.items()})
     model = world.engine.models[i]
@@ -83,7 +83,7 @@ def test_a_loop_stays_closed_while_the_robot_trots(make_world, trot):
     assert worst < 1e-4
 
 
-def test_a_motor_may_turn_faster_than_bullet_lets_joints_turn(make_world):
+def test_motors_may_exceed_bullets_default_speed_limit(make_world):
     world = make_world(config={"rack": True}, voltage=30.0, servo_kp=10.0, servo_kd=0.0, leg_mass_ratio=0.2)
     fastest = 0.0
     for k in range(60):
@@ -95,7 +95,7 @@ def test_a_motor_may_turn_faster_than_bullet_lets_joints_turn(make_world):
 # --- frames -----------------------------------------------------------------------------------------------
 
 
-def test_base_velocity_is_that_of_the_links_origin_in_a_turned_robot(make_world, trot):
+def test_base_velocity_is_that_of_the_link_origin_of_a_rotated_robot(make_world, trot):
     world = make_world(config={"start_angular_speed": 3.0}, control_step=0.001, control_latency=0.0)
     for k in range(60):
         world.step(trot(k))
@@ -109,7 +109,7 @@ def test_base_velocity_is_that_of_the_links_origin_in_a_turned_robot(make_world,
     np.testing.assert_allclose(before.base_velocity_world[0], linear, atol=1e-12)
     world.step(trot(60))
     after = world.truth()
-    # Positions move by the velocities of a step's end.
+    # Positions change by the velocities at the end of a step.
     moved = after.base_position_world - before.base_position_world
     np.testing.assert_allclose(moved, 0.001 * after.base_velocity_world, atol=2e-6)
 
@@ -117,8 +117,9 @@ def test_base_velocity_is_that_of_the_links_origin_in_a_turned_robot(make_world,
 # --- parameters, forces -----------------------------------------------------------------------------------
 
 
-def test_knee_friction_is_the_torque_that_knees_hold(make_world):
-    # Horizontal lower links hang on knees that hold .2 N m; each weighs .07 to .09 kg, some .1 N m about its knee.
+def test_knee_friction_is_the_torque_that_knees_resist(make_world):
+    # Horizontal lower links hang on knees with 0.2 N m of friction; each weighs 0.07 to 0.09 kg, some 0.1 N m about its
+    # knee.
     for friction, fell in ((0.2, False), (0.0, True)):
         world = make_world(config={"rack": True}, knee_friction=friction)
         model = world.engine.models[0]
@@ -136,7 +137,7 @@ def test_knee_friction_is_the_torque_that_knees_hold(make_world):
         assert np.all(np.abs(angles - np.pi / 4) < 0.05) != fell
 
 
-def test_a_pin_lies_against_its_bore_on_the_side_of_its_load():
+def test_a_pin_moves_to_the_side_of_its_load():
     # 3 N along x and 4 N along the pin: the pin goes to x, by the clearance times 3 / (3 + 1), a fifth of it a step.
     quats, axes = np.array([[0.0, 0.0, 0.0, 1.0]]), np.array([[0.0, 1.0, 0.0]])
     forces, shift = np.array([[3.0, 4.0, 0.0]]), np.zeros((1, 3))
@@ -154,7 +155,7 @@ def test_a_pin_lies_against_its_bore_on_the_side_of_its_load():
 
 
 def soles(load, velocity, omega=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0), stretch=(0.0, 0.0, 0.0)):
-    """Force (3,) on a sphere of .02 m, .1 m below its link's centre, where it acts (3,), and the new stretch (3,)."""
+    """Return force, point of application and new shear, (3,) each, of a sphere of 0.02 m 0.1 m below its link."""
     links = np.array([[1.0, 2.0, 3.0, *turn, *velocity, *omega]])
     after, force, place = np.array([stretch], float), np.zeros((1, 3)), np.zeros((1, 3))
     centres, radii, law = np.array([[0.0, 0.0, -0.1]]), np.array([0.02]), (np.array([0.5]), (300.0, 100.0, 0.001))
@@ -162,30 +163,30 @@ def soles(load, velocity, omega=(0.0, 0.0, 0.0), turn=(0.0, 0.0, 0.0, 1.0), stre
     return force[0], place[0], after[0]
 
 
-def test_a_sole_stretches_with_the_foot_that_turns():
-    # .02 m/s and .25 rad/s at .12 m give .05 m/s along x: 300 x .00005 + 50 x .05 = 2.515 N against it.
+def test_a_sole_shears_with_a_rotating_foot():
+    # 0.02 m/s and 0.25 rad/s at 0.12 m give 0.05 m/s along x: 300 x 0.00005 + 50 x 0.05 = 2.515 N against it.
     force, place, stretch = soles((0, 0, 10), (0.02, 0, -1.0), (0, -0.25, 0))
     np.testing.assert_allclose(force, [-2.515, 0, 0], atol=1e-12)
     np.testing.assert_allclose(place, [1, 2, 2.88], atol=1e-12)
     np.testing.assert_allclose(stretch, [0.00005, 0, 0], atol=1e-15)
 
 
-def test_a_sole_is_where_its_link_turns_it():
+def test_a_sole_rotates_with_its_link():
     # Half a turn about x: the foot is above the link's centre.
     _, place, _ = soles((0, 0, 10), (0, 0, 0), turn=(1.0, 0.0, 0.0, 0.0))
     np.testing.assert_allclose(place, [1, 2, 3.08], atol=1e-12)
 
 
-def test_a_sole_slides_at_the_limit_and_lets_go_in_the_air():
+def test_a_sole_slides_at_the_limit_and_resets_in_the_air():
     force, _, stretch = soles((0, 0, 10), (0, 0, 0), stretch=(0.03, 0.04, 0.0))
-    np.testing.assert_allclose(force, [-3, -4, 0], atol=1e-12)  # 15 N of 50 mm, bounded by .5 x 10 N
+    np.testing.assert_allclose(force, [-3, -4, 0], atol=1e-12)  # 15 N of 50 mm, bounded by 0.5 x 10 N
     np.testing.assert_allclose(stretch, [0.01, 0.04 / 3, 0], atol=1e-12)
     force, _, stretch = soles((0, 0, 0), (1, 0, 0), stretch=(0.03, 0.04, 0.0))
     assert not force.any()
     assert not stretch.any()
 
 
-def test_the_force_on_a_slope_is_along_it():
+def test_the_tangential_force_on_a_slope_is_along_it():
     normal = np.array([0.6, 0.0, 0.8])
     force, place, _ = soles(10 * normal, (0.01, 0.02, -0.03))
     assert force[0] != 0
@@ -200,7 +201,7 @@ def test_feet_with_soft_soles_have_no_friction_of_bullets_own(make_world):
             assert pybullet.getDynamicsInfo(model.body, link, model.client)[1] == friction
 
 
-def test_legs_with_play_give_way_under_the_robots_weight(make_world):
+def test_legs_with_knee_play_sag_under_the_robots_weight(make_world):
     world = make_world(3, knee_play=[0.0, 0.0005, 0.001])
     for _ in range(80):
         world.step(world.resting_angles)
@@ -232,7 +233,7 @@ def test_a_robot_on_its_back_lies_on_the_plane_under_an_uneven_floor(make_world)
 
 
 def blocks() -> Ground:
-    """Return blocks of up to 6 cm around the origin."""
+    """Return a ground with blocks of up to 6 cm around the origin."""
     tops = np.random.default_rng(1).uniform(-0.06, 0.0, (20, 20, 1, 1))
     return Ground(np.broadcast_to(tops, (20, 20, 2, 2)).copy(), 0.1)
 
@@ -246,19 +247,21 @@ def test_planes_touch_the_ground_where_feet_do(make_world):
         model.place_planes()
         for k, foot in enumerate(model.foot_positions()):
             lift, radius = uneven_floor(0.004).height(foot[:2]), model.foot_radius[k]
-            both = sphere_contacts(ground.corners, ground.grid, foot[0], foot[1], foot[2] - lift, radius + NEAR)
+            both = sphere_contacts(
+                ground.corners, ground.grid, foot[0], foot[1], foot[2] - lift, radius + CONTACT_RANGE
+            )
             for (depth, *normal), plane in zip(both, model.planes[k :: len(model.feet)], strict=True):
                 place, quat = pybullet.getBasePositionAndOrientation(plane, model.client)
                 facing = np.array(pybullet.getMatrixFromQuaternion(quat))[2::3]
                 distance = facing @ (foot - place)
                 if depth > 0:
                     np.testing.assert_allclose(facing, normal, atol=1e-9)
-                    assert distance == pytest.approx(radius + NEAR - depth, abs=1e-9)
+                    assert distance == pytest.approx(radius + CONTACT_RANGE - depth, abs=1e-9)
                 else:
                     assert distance > 100.0
 
 
-def test_a_shank_meets_a_ground_with_cells_and_its_foot_the_planes_alone():
+def test_shanks_collide_with_cells_and_feet_only_with_planes():
     robot, ground = RobotDescription.load("go2"), blocks()
     params = PhysicalParams.nominal(robot, 1)
     worlds = [SimWorld(robot, 1, params, config=WorldConfig(ground=one), engine="bullet") for one in (ground, FLAT)]
@@ -267,7 +270,7 @@ def test_a_shank_meets_a_ground_with_cells_and_its_foot_the_planes_alone():
     (model,), (flat,) = (world.engine.models for world in worlds)
     for leg, foot in zip(robot.legs, model.feet, strict=True):
         (sphere,) = pybullet.getCollisionShapeData(model.body, foot, model.client)
-        shank = robot.urdf.places[leg.foot][0]
+        shank = robot.urdf.fused_frames[leg.foot][0]
         shapes, both = (pybullet.getCollisionShapeData(one.body, one.links[shank], one.client) for one in (model, flat))
         assert sphere[2] == pybullet.GEOM_SPHERE
         assert len(shapes) == len(both) - 1 > 0
@@ -283,12 +286,12 @@ def test_a_shank_meets_a_ground_with_cells_and_its_foot_the_planes_alone():
     assert not touching & set(model.feet)
 
 
-def test_a_ground_that_bullet_has_no_room_for_and_boxes_as_feet_are_refused(robot, monkeypatch):
+def test_too_large_grounds_and_boxes_as_feet_on_terrain_are_rejected(robot, monkeypatch):
     config = WorldConfig(ground=blocks())
-    with pytest.raises(SurefootError, match="feet are boxes in world bullet-published"):
+    with pytest.raises(SurefootError, match="world bullet-published has boxes for feet"):
         SimWorld(robot, 1, config=config, engine="bullet-published")
     monkeypatch.setattr(bullet_model, "_MAX_INDICES", 300)
-    with pytest.raises(SurefootError, match=r"triangles with .* Bullet takes at most 100 with"):
+    with pytest.raises(SurefootError, match=r"triangles with .* Bullet allows at most 100 with"):
         SimWorld(robot, 1, config=config, engine="bullet")
 
 
@@ -298,7 +301,7 @@ def test_robots_stand_on_feet_of_any_stiffness_from_the_start(make_world):
     for _ in range(30):
         world.step(world.resting_angles)
         highest = np.maximum(highest, np.abs(world.truth().base_velocity_world[:, 2]))
-    # Sunk in by the 6 mm of soft feet, stiff ones would throw the robot up with some .8 m/s.
+    # With the 6 mm penetration of soft feet, stiff feet would throw the robot up at some 0.8 m/s.
     assert highest.max() < 0.05
 
 
@@ -319,8 +322,8 @@ def test_the_published_settings_reach_bullet(robot):
 
 
 @pytest.mark.parametrize(("coulomb", "viscous"), [(0.3, 0.0), (0.0, 0.1)])
-def test_a_constraint_motor_carries_its_friction_too(make_world, trot, coulomb, viscous):
-    # Both follow their targets; the second one's torque is larger by the friction of the speed at the step's start.
+def test_a_constraint_motor_overcomes_its_friction(make_world, trot, coulomb, viscous):
+    # Both follow their targets; the torque of the second is larger by the friction at the speed of the step's start.
     friction = {"motor_friction": [0.0, coulomb], "motor_viscous_friction": [0.0, viscous]}
     world = make_world(2, config={"actuator": "constraint", "rack": True}, control_step=0.001, **friction)
     for k in range(60):
@@ -347,7 +350,7 @@ def test_a_constraint_motor_without_strength_gives_no_torque(make_world, trot):
 # --- clients and output -----------------------------------------------------------------------------------
 
 
-def test_clients_end_with_the_world(make_world):
+def test_clients_are_closed_with_the_world(make_world):
     world = make_world(2)
     clients = [model.client for model in world.engine.models]
     assert all(pybullet.isConnected(client) for client in clients)
@@ -361,7 +364,7 @@ def test_bullet_reports_too_many_clients(robot, monkeypatch):
         raise pybullet.error("Can not connect")
 
     monkeypatch.setattr(pybullet, "connect", full)
-    with pytest.raises(SurefootError, match="Bullet has no room for another robot in this process"):
+    with pytest.raises(SurefootError, match="Bullet can't hold another robot in this process"):
         BulletModel(robot, WorldConfig(), BulletSettings())
 
 

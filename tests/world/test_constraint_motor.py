@@ -12,14 +12,14 @@ from surefoot.world.sim_world import SimWorld
 
 
 def make(robot: RobotDescription, rack: bool = True, **values: float) -> SimWorld:
-    """One robot with constraint motors, a control step of one servo step, no latency."""
+    """Return one robot with constraint motors, a control step of one servo step, and no latency."""
     values = {"control_step": 0.001, "control_latency": 0.0, "servo_latency": 0.0, **values}
     params = PhysicalParams.nominal(robot).with_values(robot, **values)
     return SimWorld(robot, 1, params, config=WorldConfig(actuator="constraint", rack=rack, threads=1))
 
 
-def test_speed_sought_by_hand() -> None:
-    # .032 rad away, gains 1 and .015, step 1 ms: .032 / (.001 + .015).
+def test_target_speed_worked_by_hand() -> None:
+    # Error 0.032 rad, gains 1 and 0.015, step 1 ms: 0.032 / (0.001 + 0.015).
     speed = constraint_speed_kernel(1.032, 1.0, 1.0, 0.015, 0.001)
     assert speed == pytest.approx(2.0)
     # The error at the end of the step is zero.
@@ -29,8 +29,8 @@ def test_speed_sought_by_hand() -> None:
     assert constraint_speed_kernel(1.02, 1.0, 0.0, 0.015, 0.001) == 0.0
 
 
-def test_torque_limit_by_hand() -> None:
-    # An ideal motor of .0954 N m/A and .186 Ohm on 16 V: 86.0 A, 8.21 N m.
+def test_torque_limit_worked_by_hand() -> None:
+    # An ideal motor of 0.0954 N m/A and 0.186 Ohm on 16 V: 86.0 A, 8.21 N m.
     assert constraint_torque_kernel(16.0, 0.0954, 0.186, 1.0) == pytest.approx(8.2065, abs=1e-4)
     assert constraint_torque_kernel(16.0, 0.0954, 0.186, 0.5) == pytest.approx(4.1032, abs=1e-4)
 
@@ -63,13 +63,14 @@ def test_a_standing_robot_does_not_sink(robot: RobotDescription) -> None:
         world.step(world.resting_angles[None])
     truth = world.truth()
     assert np.abs(truth.motor_angle[0] - world.resting_angles).max() < 2e-3
-    # Nothing moves, so no work is done, though every motor holds its share of 7.5 kg.
+    # Nothing moves, so no work is done, although every motor carries part of the 7.5 kg.
     assert np.abs(truth.motor_torque).min() > 0.3
     assert truth.energy[0] < 1e-6
 
 
 def test_work_done_on_the_rack_is_the_energy_gained(robot: RobotDescription) -> None:
-    # Legs that start to move have the kinetic energy that the motors gave them; over 2 ms gravity adds next to nothing.
+    # Legs that start to move have the kinetic energy that the motors gave them; over 2 ms the work of gravity is
+    # negligible.
     world = make(robot)
     world.step(world.resting_angles[None] + 0.03)
     truth = world.truth()
@@ -98,6 +99,6 @@ def test_servo_latency_does_not_matter_to_it(robot: RobotDescription) -> None:
         ({"threads": -1}, "threads is -1; it must be 0"),
     ],
 )
-def test_invalid_world_configurations_are_refused(config, message):
+def test_invalid_world_configurations_are_rejected(config, message):
     with pytest.raises(SurefootError, match=message):
         WorldConfig(**config)

@@ -1,4 +1,4 @@
-"""The ground's force on one foot."""
+"""Contact force on one foot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SPEED = st.floats(-5, 5)
 
 
 def on_ground(depth: float, velocity=(0.0, 0.0, 0.0), stretch=(0.0, 0.0, 0.0), friction=1.0, normal=(0.0, 0.0, 1.0)):
-    """The ground's force (3,) on a foot and the sole's new stretch (3,)."""
+    """Return the ground's force on a foot (3,) and the new shear of the sole (3,)."""
     force, after = np.zeros(3), np.array(stretch, float)
     law = (friction, STIFFNESS, STIFFNESS, DAMPING, STEP)
     load = foot_force_kernel(depth, normal, np.array(velocity, float), after, *law, force)
@@ -25,11 +25,11 @@ def on_ground(depth: float, velocity=(0.0, 0.0, 0.0), stretch=(0.0, 0.0, 0.0), f
 @pytest.mark.parametrize(
     ("depth", "sinking", "normal"),
     [
-        (0.006, 0.0, 18.0),  # 3000 x .006
-        (0.006, 0.1, 28.0),  # + 100 x .1
+        (0.006, 0.0, 18.0),  # 3000 x 0.006
+        (0.006, 0.1, 28.0),  # + 100 x 0.1
         (0.006, -0.1, 8.0),
         (0.006, -0.2, 0.0),  # 18 - 20 would pull
-        (0.0, 1.0, 0.0),  # the damper acts in the ground only
+        (0.0, 1.0, 0.0),  # the damper acts only in contact
         (-0.001, 1.0, 0.0),
     ],
 )
@@ -38,14 +38,14 @@ def test_normal_force(depth: float, sinking: float, normal: float):
     np.testing.assert_allclose(force, (0, 0, normal), atol=1e-12)
 
 
-def test_the_sole_stretches_with_the_foot():
-    # In 1 ms at .02 m/s the sole stretches by .02 mm: 3000 x .00002 + 50 x .02 = 1.06 N against it.
+def test_the_sole_shears_with_the_foot():
+    # In 1 ms at 0.02 m/s the sole shears by 0.02 mm: 3000 x 0.00002 + 50 x 0.02 = 1.06 N against it.
     force, stretch = on_ground(0.01, (0.02, 0, 0))
     np.testing.assert_allclose(stretch, (2e-5, 0, 0))
     np.testing.assert_allclose(force, (-(0.06 + TANGENTIAL_DAMPING * 2.0), 0, 30.0))
 
 
-def test_on_a_slope_the_ground_pushes_along_its_normal_and_brakes_along_itself():
+def test_forces_on_a_slope_are_along_its_normal_and_its_surface():
     normal, down = np.array([0.6, 0.0, 0.8]), np.array([0.8, 0.0, -0.6])
     still, _ = on_ground(0.01, normal=normal)
     np.testing.assert_allclose(still, 30.0 * normal)
@@ -56,24 +56,24 @@ def test_on_a_slope_the_ground_pushes_along_its_normal_and_brakes_along_itself()
 
 
 @pytest.mark.parametrize("normal", [(-1.0, 0.0, 0.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0)])
-def test_a_wall_holds_back_a_foot_that_slides_along_it(normal: tuple[float, float, float]):
-    # Upward at .02 m/s as in the test above: 1.06 N downward, and 30 N away from the wall.
+def test_wall_friction_opposes_a_sliding_foot(normal: tuple[float, float, float]):
+    # Upward at 0.02 m/s as in the test above: 1.06 N downward, and 30 N away from the wall.
     force, stretch = on_ground(0.01, (0.0, 0.0, 0.02), normal=normal)
     np.testing.assert_allclose(force, 30.0 * np.array(normal) - [0, 0, 1.06], atol=1e-12)
     np.testing.assert_allclose(stretch, [0, 0, 2e-5], atol=1e-15)
-    # 3000 x .05 in the direction (.6, .8) of the wall, bounded by mu 30 = 15 N.
+    # 3000 x 0.05 in the direction (0.6, 0.8) of the wall, bounded by mu 30 = 15 N.
     side = np.cross(normal, (0.0, 0.0, 1.0))
     force, _ = on_ground(0.01, stretch=0.03 * side + [0, 0, 0.04], friction=0.5, normal=normal)
     np.testing.assert_allclose(force, 30.0 * np.array(normal) - 9.0 * side - [0, 0, 12.0], atol=1e-12)
 
 
 def test_friction_has_a_bound():
-    # 30 N on the foot, mu .5: 15 N at most, whatever the direction.
+    # 30 N on the foot, mu 0.5: 15 N at most, in any direction.
     force, _ = on_ground(0.01, (0, 0, 0), stretch=(0.03, 0.04, 0.0), friction=0.5)
     np.testing.assert_allclose(force, (-9.0, -12.0, 30.0))
 
 
-def test_a_foot_in_the_air_forgets_its_stretch():
+def test_a_foot_in_the_air_resets_its_shear():
     _, stretch = on_ground(-0.001, stretch=(0.01, 0.01, 0.01))
     assert stretch.tolist() == [0, 0, 0]
 
@@ -99,7 +99,7 @@ def test_friction_of_a_fresh_foot_opposes_its_motion(velocity, friction):
 
 
 def drag(pull: float, seconds: float, speed: float = 0.0):
-    """Position and speed, at every step, of 2 kg that 20 N press on the ground and a growing force pulls.
+    """Return position and speed at every step of 2 kg, pressed on the ground with 20 N and pulled by a growing force.
 
     The pull grows for half a second, so that the spring does not overshoot.
     """
@@ -113,8 +113,8 @@ def drag(pull: float, seconds: float, speed: float = 0.0):
 
 
 @pytest.mark.parametrize("pull", [1.0, 5.0, 9.5, -9.5])
-def test_below_the_bound_the_foot_holds(pull: float):
-    # mu N = 10 N. The sole gives by pull / K, and there is no creep.
+def test_below_the_bound_the_foot_sticks(pull: float):
+    # mu N = 10 N. The sole shears by pull / K, without creep.
     path = drag(pull, 5.0)
     np.testing.assert_allclose(path[-2000:, 0], pull / STIFFNESS, rtol=1e-6)
     np.testing.assert_allclose(path[-2000:, 1], 0, atol=1e-9)
@@ -128,7 +128,7 @@ def test_a_contact_slides_above_the_friction_bound(pull: float):
 
 
 def test_a_sliding_foot_comes_to_rest():
-    # From 1 m/s at 10 N / 2 kg = 5 m/s2: v^2 / 2a = .1 m, and it stays there.
+    # From 1 m/s at 10 N / 2 kg = 5 m/s2: v^2 / 2a = 0.1 m, and it stays there.
     position, speed = drag(0.0, 2.0, speed=1.0).T
     assert position.max() == pytest.approx(0.1, rel=0.05)
     assert abs(speed[-1]) < 1e-9
@@ -137,7 +137,7 @@ def test_a_sliding_foot_comes_to_rest():
 
 @pytest.mark.parametrize(
     ("normal", "spin", "torque"),
-    [(20.0, 3.0, -0.08), (20.0, -3.0, 0.08), (20.0, 0.05, -0.04), (0.0, 3.0, 0.0)],  # below .1 rad/s it falls
+    [(20.0, 3.0, -0.08), (20.0, -3.0, 0.08), (20.0, 0.05, -0.04), (0.0, 3.0, 0.0)],  # below 0.1 rad/s it decreases
 )
 def test_spinning_friction_is_a_length_times_the_normal_force(normal: float, spin: float, torque: float):
     assert spinning_torque_kernel(normal, spin, 0.004) == pytest.approx(torque)

@@ -1,4 +1,4 @@
-"""What `SimWorld` does the same on either engine: independent robots, exact states, divergence."""
+"""Properties of `SimWorld` with every engine: independent robots, exact states, divergence."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ START = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
 
 
 @pytest.mark.parametrize("place", [0, 3])
-def test_a_robot_moves_alike_alone_and_in_a_batch(make_world, trot, assert_same, varied, engine, place):
+def test_a_robot_moves_the_same_in_any_batch(make_world, trot, assert_same, varied, engine, place):
     num_envs = 64 if engine == "mujoco" else 4
     values = varied(num_envs, bullet=engine != "mujoco")
     if place:
-        values["imu_noise"][:] = 0.0  # its stream is that of the place
+        values["imu_noise"][:] = 0.0  # its random stream depends on the index
     crowd = make_world(num_envs, config={"threads": 2}, engine=engine, **values)
     single = make_world(1, engine=engine, **{name: value[place : place + 1] for name, value in values.items()})
     for k in range(40):
@@ -67,13 +67,13 @@ def test_a_state_continues_exactly_in_another_world(make_world, trot, assert_sam
 
 
 @pytest.mark.parametrize("terrain", ["flat", "rough:0.1", "blocks:0.1"])
-def test_shapes_that_are_not_searched_for_contacts_have_none(make_world, terrain):
+def test_skipped_shapes_have_no_contacts(make_world, terrain):
     ground = make_terrain(terrain) if terrain == "flat" else replace(make_terrain(terrain), center=(4.1, 4.1))
     config, paths = {"ground": ground, "start_linear_speed": 1.0, "start_angular_speed": 3.0}, []
     for search_all in (False, True):
         world, rng = make_world(8, seed=1, config=config), np.random.default_rng(0)
         if search_all:
-            world.engine._native.shape_part[:, 2] = 1e9  # as if they might move that far
+            world.engine._native.shape_part[:, 2] = 1e9  # as if they could move that far
         for k in range(80):
             if k % 5 == 0:
                 target = world.resting_angles + rng.uniform(-1.0, 1.0, world.resting_angles.shape)
@@ -84,7 +84,7 @@ def test_shapes_that_are_not_searched_for_contacts_have_none(make_world, terrain
 
 
 @pytest.mark.parametrize("force", [1e12, np.nan])
-def test_a_robot_that_diverges_is_put_back_in_silence(
+def test_a_diverged_robot_is_reset_without_output(
     make_world, trot, assert_same, engine, force, tmp_path, monkeypatch, capfd
 ):
     monkeypatch.chdir(tmp_path)  # MuJoCo's own warnings go to stderr and to a file here.
@@ -103,7 +103,7 @@ def test_a_robot_that_diverges_is_put_back_in_silence(
     assert_same(world.truth(), other.truth())
 
 
-def test_a_push_stays_until_another_is_set(make_world, engine):
+def test_a_push_persists_until_the_next(make_world, engine):
     world, speeds = make_world(engine=engine), []
     for force in (40.0 + 7.473 * 9.81, None, 0.0):
         if force is not None:
@@ -129,7 +129,7 @@ def test_on_the_rack_the_base_is_still_and_its_readings_zero(make_world, trot, e
 
 
 @pytest.mark.parametrize("actuator", ["dc", "constraint"])
-def test_only_a_motor_that_is_asked_for_more_than_it_has_is_at_its_limit(make_world, engine, actuator):
+def test_only_a_motor_with_more_than_its_torque_commanded_is_saturated(make_world, engine, actuator):
     world = make_world(1, config={"rack": True, "actuator": actuator}, engine=engine)
     target = world.resting_angles.copy()
     for _ in range(20):
@@ -145,7 +145,7 @@ def test_only_a_motor_that_is_asked_for_more_than_it_has_is_at_its_limit(make_wo
 
 
 @pytest.mark.parametrize(("share", "at_limit"), [(0.5, False), (20.0, True)])
-def test_a_joint_actuator_is_at_its_limit_where_its_controller_asks_for_more(engine, share, at_limit):
+def test_a_joint_actuator_is_saturated_if_its_controller_commands_more(engine, share, at_limit):
     robot = RobotDescription.load("solo8")
     world = SimWorld(robot, 1, config=WorldConfig(rack=True), engine=engine)
     target = world.resting_angles.copy()
@@ -156,7 +156,7 @@ def test_a_joint_actuator_is_at_its_limit_where_its_controller_asks_for_more(eng
     assert saturation[2:].max() == 0.0
 
 
-def test_shapes_that_are_left_out_of_the_search_for_contacts_have_none():
+def test_skipping_shapes_does_not_change_contacts():
     robot, tops = RobotDescription.load("go2"), np.random.default_rng(0).uniform(0.0, 0.1, (30, 30, 1, 1))
     ground = Ground(np.broadcast_to(tops, (30, 30, 2, 2)).copy(), 0.1)
     step = robot.timing.servo_step

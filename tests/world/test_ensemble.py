@@ -1,4 +1,4 @@
-"""Hidden parameters, and the ensemble of robots that stands for reality."""
+"""Hidden parameters, and the ensemble of robots that replaces a real robot."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SEEDS = range(1, 21)
 ROBOTS = len(SEEDS)
 
 
-def test_a_robot_is_the_same_in_every_batch_and_comes_again_after_the_last(robot: RobotDescription) -> None:
+def test_robots_do_not_depend_on_the_batch_and_repeat_after_the_last_seed(robot: RobotDescription) -> None:
     few, many = ensemble_params(robot, 3, SEEDS), ensemble_params(robot, ROBOTS + 2, SEEDS)
     for name in PhysicalParams.names():
         values = getattr(many, name)
@@ -36,7 +36,7 @@ def test_every_robot_is_within_the_ranges_and_differs(robot: RobotDescription) -
         assert len(np.unique(values)) >= ROBOTS, name
 
 
-def test_robots_keep_the_policys_control_step_and_gains_and_take_no_other_parameters(robot: RobotDescription) -> None:
+def test_robots_only_accept_control_step_and_gains_of_the_policy(robot: RobotDescription) -> None:
     pytest.importorskip("pybullet")
     nominal = PhysicalParams.nominal(robot, 2)
     config = WorldConfig(threads=1)
@@ -45,7 +45,7 @@ def test_robots_keep_the_policys_control_step_and_gains_and_take_no_other_parame
     assert np.all(world.params.control_step == 0.010)
     assert np.all(world.params.servo_kp == 1.2)
     np.testing.assert_array_equal(world.params.knee_play, ensemble_params(robot, 2, SEEDS).knee_play)
-    with pytest.raises(SurefootError, match="voltage is given; robots of the ensemble have their own"):
+    with pytest.raises(SurefootError, match="voltage is given, but robots of the ensemble have their own"):
         make_world("ensemble", robot, 2, nominal.with_values(robot, voltage=15.0), 0, config)
 
 
@@ -61,7 +61,7 @@ def test_go2s_are_between_three_identifications() -> None:
     assert np.all(params.servo_kp == 70.0)
 
 
-def test_robots_for_results_are_none_of_those_for_development(robot: RobotDescription) -> None:
+def test_robots_for_results_differ_from_robots_for_development(robot: RobotDescription) -> None:
     pytest.importorskip("pybullet")
     development, reported = WORLDS["ensemble"].seeds, WORLDS["ensemble-test"].seeds
     assert (development, reported) == (range(1, 21), range(21, 61))

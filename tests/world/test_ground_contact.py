@@ -1,4 +1,4 @@
-"""Contacts of a sphere with the ground, against the nearest of dense points of the surface, and worked by hand."""
+"""Contacts of spheres with the ground, compared with the nearest points of triangles, and worked by hand."""
 
 from __future__ import annotations
 
@@ -7,7 +7,13 @@ import pytest
 
 from surefoot.arrays import Array
 from surefoot.world.ground import FLAT, Ground
-from surefoot.world.ground_contact import STEEP, friction_factor, point_clearance, shape_clearance, sphere_contacts
+from surefoot.world.ground_contact import (
+    WALL_NORMAL_Z,
+    friction_factor,
+    point_clearance,
+    shape_clearance,
+    sphere_contacts,
+)
 from surefoot.world.mujoco_model import body_heights
 
 RADIUS, ERROR = 0.02, 1e-6
@@ -15,12 +21,12 @@ CELL, COUNT = 0.05, 4
 
 
 def level_cells(tops: Array) -> Ground:
-    """Return a ground of blocks with level tops (X, Y)."""
+    """Return a ground of blocks with level tops at heights (X, Y)."""
     return Ground(np.broadcast_to(tops[..., None, None], (*tops.shape, 2, 2)).copy(), CELL)
 
 
 def random_ground(kind: str, rng: np.random.Generator) -> Ground:
-    """Return a ground of few cells; slopes stay below 50 degrees, but for walls."""
+    """Return a random ground of a few cells with slopes below 50 degrees, except for walls."""
     shape = (COUNT, COUNT)
     if kind == "rough":
         return Ground.from_points(rng.uniform(0.0, 0.03, (COUNT + 1, COUNT + 1)), CELL)
@@ -38,7 +44,7 @@ def random_ground(kind: str, rng: np.random.Generator) -> Ground:
 
 
 def nearest(triangles: Array, point: Array) -> Array:
-    """Return the points (T, 3) of triangles (T, 3, 3) that are nearest to a point: of sides, or within."""
+    """Return the nearest points (T, 3) of triangles (T, 3, 3) to a point, on their sides or in their interior."""
     starts, sides = triangles, np.roll(triangles, -1, axis=1) - triangles
     shares = np.einsum("tsk,tsk->ts", point - starts, sides) / np.einsum("tsk,tsk->ts", sides, sides)
     places = starts + np.clip(shares, 0.0, 1.0)[..., None] * sides
@@ -52,13 +58,13 @@ def nearest(triangles: Array, point: Array) -> Array:
 
 
 def contacts(ground: Ground, centre: Array) -> tuple[Array, Array]:
-    """Return the carrying contact and that at a wall, (4,) each."""
+    """Return the supporting contact and the wall contact, (4,) each."""
     both = sphere_contacts(ground.corners, ground.grid, *centre.tolist(), RADIUS)
     return np.array(both[0]), np.array(both[1])
 
 
 def least_distances(ground: Ground, triangles: Array, centre: Array) -> tuple[float, float]:
-    """Return the least distances at which places that are nearest around themselves can carry, and are at a wall."""
+    """Return the minimum distances to local minima on supporting surfaces and on walls."""
     places = nearest(triangles, centre)
     distance = np.linalg.norm(places - centre, axis=1)
     least = [np.inf, np.inf]
@@ -66,13 +72,13 @@ def least_distances(ground: Ground, triangles: Array, centre: Array) -> tuple[fl
         joined = np.linalg.norm(nearest(triangles, places[k]) - places[k], axis=1) < 10 * ERROR
         free = places[k] + 1e-3 * (centre - places[k])
         if distance[k] <= distance[joined].min() + ERROR and ground.height(free[:2]) < free[2]:
-            number = int(centre[2] - places[k, 2] < STEEP * distance[k])
+            number = int(centre[2] - places[k, 2] < WALL_NORMAL_Z * distance[k])
             least[number] = min(least[number], distance[k])
     return least[0], least[1]
 
 
 @pytest.mark.parametrize("kind", ["rough", "slope", "blocks", "fine", "steps"])
-def test_contacts_are_where_the_surface_is_nearest(kind: str):
+def test_contacts_are_at_local_minima_of_the_distance(kind: str):
     rng = np.random.default_rng(3)
     for _ in range(100):
         ground = random_ground(kind, rng)
@@ -84,7 +90,7 @@ def test_contacts_are_where_the_surface_is_nearest(kind: str):
         triangles = triangles[((around.min(axis=1) < 2 * RADIUS) & (around.max(axis=1) > -2 * RADIUS)).all(axis=1)]
         carrying, wall = both = contacts(ground, centre)
         if over < 0:
-            # The nearest way out; a wall beside it may stand free.
+            # The nearest exit; in addition, a wall may rise freely next to it.
             both = (carrying if carrying[0] > 0 else wall,)
             expected = RADIUS + np.linalg.norm(nearest(triangles, centre) - centre, axis=1).min(keepdims=True)
         else:
@@ -98,7 +104,7 @@ def test_contacts_are_where_the_surface_is_nearest(kind: str):
 
 
 def test_a_step_has_a_top_a_wall_and_an_edge():
-    # A step of 6 cm at x = 0; the sphere is 15 mm over what it stands on, or beside the wall.
+    # A step of 6 cm at x = 0; the sphere is 15 mm above the tread, or next to the wall.
     ground = level_cells(np.array([[0.0] * 4] * 2 + [[0.06] * 4] * 2))
     cases = {
         (-0.05, 0.0, 0.015): ([0.005, 0, 0, 1], None),
@@ -110,11 +116,11 @@ def test_a_step_has_a_top_a_wall_and_an_edge():
         (-0.009, 0.0, 0.072): ([0.005, -0.6, 0, 0.8], None),
         (-0.012, 0.0, 0.069): ([0.005, -0.8, 0, 0.6], None),
         (-0.0144, 0.0, 0.0642): (None, [0.005, -0.96, 0, 0.28]),
-        # Over the step, close to its edge: the edge is none for what is above it.
+        # Above the step, close to its edge: there is no edge contact from above.
         (0.001, 0.0, 0.075): ([0.005, 0, 0, 1], None),
-        # Sunk into the tread before the riser by 3 mm: out by the tread; the riser from its foot on.
+        # Sunk into the tread ahead of the riser by 3 mm: exit through the tread; the riser from its foot up.
         (-0.004, 0.0, -0.003): ([0.023, 0, 0, 1], [0.015, -1, 0, 0]),
-        # Behind the wall by 2 mm: out by the wall.
+        # Behind the wall by 2 mm: exit through the wall.
         (0.002, 0.0, 0.03): (None, [0.022, -1, 0, 0]),
         (-0.05, 0.0, 0.03): (None, None),
     }
@@ -126,8 +132,8 @@ def test_a_step_has_a_top_a_wall_and_an_edge():
                 np.testing.assert_allclose(contact, expected, atol=1e-9, err_msg=str(centre))
 
 
-def test_edges_that_cells_share_without_a_step_are_no_obstacles():
-    # Along a plane, level or sloping, every contact has its normal and its depth, however deep the sphere is in it.
+def test_edges_without_a_step_are_no_obstacles():
+    # On a plane, level or sloped, every contact has the plane's normal and depth, at any depth.
     for slope in (np.zeros(2), np.array([0.3, -0.2])):
         at = CELL * np.arange(COUNT + 1) - CELL * COUNT / 2
         ground = Ground.from_points(slope[0] * at[:, None] + slope[1] * at, CELL)
@@ -141,7 +147,7 @@ def test_edges_that_cells_share_without_a_step_are_no_obstacles():
 
 
 def test_a_sphere_rolls_over_a_ridge_and_over_the_edge_of_a_block_without_a_jump():
-    # The depth at a fixed height over the top is greatest over it, and falls steadily beyond its edge.
+    # At a fixed height, the depth is maximal over the top and decreases continuously beyond its edge.
     block = level_cells(np.array([[0.06] * 4] * 2 + [[0.0] * 4] * 2))
     depths = [contacts(block, np.array([x, 0.013, 0.075]))[0][0] for x in np.linspace(-0.02, 0.013, 100)]
     assert depths[0] == pytest.approx(0.005)
@@ -149,7 +155,7 @@ def test_a_sphere_rolls_over_a_ridge_and_over_the_edge_of_a_block_without_a_jump
     assert np.diff(depths).min() > -5e-4
 
 
-def test_beyond_the_field_its_border_goes_on_and_the_plane_has_no_wall():
+def test_beyond_the_field_its_border_continues_and_the_plane_has_no_wall():
     ground = level_cells(np.full((COUNT, COUNT), 0.03))
     assert contacts(ground, np.array([0.5, 0.0, 0.045]))[0].tolist() == pytest.approx([0.005, 0.0, 0.0, 1.0])
     carrying, wall = contacts(FLAT, np.array([3.0, -1.0, 0.015]))
@@ -158,7 +164,7 @@ def test_beyond_the_field_its_border_goes_on_and_the_plane_has_no_wall():
 
 
 @pytest.mark.parametrize("kind", ["rough", "slope", "blocks", "fine", "steps"])
-def test_a_clearance_is_never_more_than_the_distance(kind: str):
+def test_a_clearance_is_a_lower_bound_of_the_distance(kind: str):
     rng, bound, radius = np.random.default_rng(4), 0.03, 0.01
     for _ in range(100):
         walls = random_ground(kind, rng)
@@ -169,7 +175,7 @@ def test_a_clearance_is_never_more_than_the_distance(kind: str):
         middle[2] = ground.height(middle[:2]) + rng.uniform(0.01, 0.08)
         distance = np.linalg.norm(nearest(triangles, middle) - middle, axis=1).min()
         assert point_clearance(points, ground.grid, *middle, bound) == pytest.approx(min(distance, bound), abs=ERROR)
-        # A cylinder of four parts has room for balls along its axis.
+        # A cylinder of four parts contains balls along its axis.
         offset = rng.uniform(-0.01, 0.01, 3)
         half = np.linalg.norm(offset) / 2
         balls = middle + np.linspace(-1, 1, 33)[:, None] * max(4 * half - radius, 0.0) * offset / (2 * half)
@@ -207,7 +213,7 @@ def test_clearances_worked_by_hand():
         assert clearance == pytest.approx(expected if expected > need else 0.0, abs=ERROR)
 
 
-def test_friction_of_a_place_is_that_of_its_patch_or_of_the_nearest_one():
+def test_friction_is_that_of_the_nearest_patch():
     ground = Ground(friction=np.array([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]]), patch=0.5, center=(1.0, 0.0))
     places = {(0.6, -0.7): 0.1, (0.6, 0.0): 0.2, (1.4, 0.7): 0.6, (-9.0, 0.3): 0.3, (9.0, -9.0): 0.4}
     for place, factor in places.items():

@@ -1,4 +1,4 @@
-"""An IMU that is turned against the base: attitudes and rates by hand."""
+"""IMUs that are not aligned with the base: attitudes and rates worked by hand."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from surefoot.world.sim_world import SimWorld
 QUARTER = np.pi / 2
 
 
-def test_an_imu_turned_by_a_quarter_about_z_reads_pitch_for_roll():
-    # Its x axis is the base's y axis: a base that rolls by .1 has an IMU that pitches by -.1.
+def test_an_imu_rotated_by_90_degrees_about_z_reads_roll_as_pitch():
+    # Its x axis is the base's y axis: a base that rolls by 0.1 has an IMU that pitches by -0.1.
     attitude, rates = np.array([[0.1, 0.0, 0.0]]), np.array([[1.0, 2.0, 3.0]])
     rotate_to_imu(attitude, rates, np.array([[0.0, 0.0, QUARTER]]))
     np.testing.assert_allclose(attitude, [[0.0, -0.1, QUARTER]], atol=1e-12)
     np.testing.assert_allclose(rates, [[2.0, -1.0, 3.0]], atol=1e-12)
 
 
-def test_small_errors_of_the_mount_add_to_a_level_attitude():
+def test_small_mounting_errors_add_to_a_level_attitude():
     mount = np.array([[0.01, 0.0, 0.0], [0.0, -0.02, 0.0], [0.0, 0.0, 0.03]])
     attitude = np.zeros((3, 3))
     rotate_to_imu(attitude, np.zeros((3, 3)), mount)
     np.testing.assert_allclose(attitude, mount, atol=1e-12)
 
 
-def test_each_robot_of_a_world_has_its_own_mount(make_world):
+def test_each_robot_has_its_own_imu_mounting(make_world):
     mount = np.array([[0.0, 0.0, 0.0], [0.02, -0.01, 0.0]])
     world: SimWorld = make_world(2, imu_mount=mount)
     for _ in range(20):

@@ -1,4 +1,4 @@
-"""Robots of different masses in one batch, masses that change, and robots for which time stands still."""
+"""Robots of different masses in one batch, changing masses, and inactive robots."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from surefoot.world.mujoco_engine import MASS_FIELDS
 from surefoot.world.mujoco_model import build_model
 from surefoot.world.sim_world import SimWorld
 
-RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
+MASS_RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
 NUM = 20
-"""Three chunks of eight: two threads share them, and each changes its model's masses again and again."""
+"""Enough robots that two threads share them and change the masses of their models repeatedly."""
 
 
 def masses(num_envs: int = NUM) -> dict[str, np.ndarray]:
-    """Other masses and inertias for each robot; every fourth is nominal."""
+    """Return different masses and inertias for each robot; every fourth is nominal."""
     draw = np.random.default_rng(12)
-    values = {name: draw.uniform(0.5, 1.5, num_envs) for name in RATIOS}
+    values = {name: draw.uniform(0.5, 1.5, num_envs) for name in MASS_RATIOS}
     for value in values.values():
         value[::4] = 1.0
     return values
@@ -34,7 +34,7 @@ Motion = list[SensorReadings | SimState]
 
 @pytest.fixture
 def motion(trot) -> Callable[..., Motion]:
-    """What a world reads in so many control steps of the trot, and where it is at their end."""
+    """Return a function with the readings of a world over control steps of the trot, and its final true state."""
 
     def run(world: SimWorld, steps: int = 40, first: int = 0) -> Motion:
         return [*(world.step(trot(k)) for k in range(first, first + steps)), world.truth()]
@@ -68,13 +68,13 @@ def test_masses_set_later_equal_masses_set_at_the_start(make_world, motion, asse
     assert_same_motion(motion(world), motion(second))
 
 
-def test_masses_change_in_the_middle_of_a_motion(make_world, motion, assert_same_motion):
-    # The state stays as it is; from then on the robot moves as one of that mass from that state.
-    world, heavy = make_world(1), make_world(1, **{name: 1.3 for name in RATIOS})
+def test_masses_can_change_during_a_motion(make_world, motion, assert_same_motion):
+    # The state is unchanged; from then on the robot moves like a robot of that mass from that state.
+    world, heavy = make_world(1), make_world(1, **{name: 1.3 for name in MASS_RATIOS})
     motion(world, 15)
     state = world.get_state()
     before = world.truth()
-    set_ratios(world, [0], **{name: 1.3 for name in RATIOS})
+    set_ratios(world, [0], **{name: 1.3 for name in MASS_RATIOS})
     for name, value in vars(before).items():
         assert np.array_equal(getattr(world.truth(), name), value), name
     state["params"] = heavy.get_state()["params"]
@@ -88,9 +88,9 @@ def test_masses_change_in_the_middle_of_a_motion(make_world, motion, assert_same
 def test_a_ratio_of_one_is_the_nominal_robot_again(make_world, motion, assert_same_motion):
     world = make_world(NUM, config={"threads": 2}, **masses())
     motion(world, 10)
-    set_ratios(world, list(range(NUM)), **{name: 0.3 for name in RATIOS})
+    set_ratios(world, list(range(NUM)), **{name: 0.3 for name in MASS_RATIOS})
     motion(world, 10)
-    set_ratios(world, list(range(NUM)), **{name: 1.0 for name in RATIOS})
+    set_ratios(world, list(range(NUM)), **{name: 1.0 for name in MASS_RATIOS})
     world.reset()
     nominal = motion(make_world(1))
     now = motion(world)
@@ -99,7 +99,7 @@ def test_a_ratio_of_one_is_the_nominal_robot_again(make_world, motion, assert_sa
 
 
 def test_masses_and_rotors_change_only_what_mujoco_derives_from_them(robot):
-    # The engine copies these arrays between robots; another one that mj_setConst fills would be another robot's.
+    # The engine copies only these arrays between robots, so mj_setConst must not change any others.
     model, nominal = build_model(robot), build_model(robot)
     model.body_mass[1:] *= 1.2
     model.body_inertia[1:] *= 1.3
@@ -117,7 +117,7 @@ def test_masses_and_rotors_change_only_what_mujoco_derives_from_them(robot):
 
 
 def options_of(options: Any) -> dict[str, Any]:
-    """The options of a model, by name."""
+    """Return the options of a model by name."""
     names = [name for name in dir(options) if not name.startswith("_")]
     return {name: np.asarray(getattr(options, name)).tolist() for name in names if not callable(getattr(options, name))}
 
@@ -143,7 +143,7 @@ BUSY: dict[str, Any] = {
 
 
 def same_state(one: dict[str, Any], other: dict[str, Any], rows: list[int], without: tuple[str, ...] = ()) -> bool:
-    """Whether two states of a world of four are alike, to the last bit, in what belongs to some robots."""
+    """Return whether two states of a world of four robots are equal to the last bit for some robots."""
     equal = [one["streams"][k] == other["streams"][k] for i in rows for k in (i, 4 + i)]
     for part in ("engine", "control_steps", "noise"):
         equal.append(np.array_equal(one[part][rows], other[part][rows]))
@@ -156,7 +156,7 @@ def same_state(one: dict[str, Any], other: dict[str, Any], rows: list[int], with
 
 
 @pytest.mark.parametrize("steps", [0, 20, 256])
-def test_time_stands_still_for_robots_that_are_not_active(make_world, trot, assert_same, steps):
+def test_inactive_robots_are_frozen(make_world, trot, assert_same, steps):
     # Noise is drawn in blocks of 256 control steps: nor is it drawn while a robot waits at a block's first one.
     world = make_world(4, **BUSY)
     for k in range(steps):
@@ -167,7 +167,7 @@ def test_time_stands_still_for_robots_that_are_not_active(make_world, trot, asse
         second = world.step(trot(k), active)
         assert_same(readings, second, ~active, ~active)
     now = world.get_state()
-    # What a control step adds up is that of the last one, in which they did nothing.
+    # Sums over a control step are from their last control step.
     summed = ("energy", "contact_ticks", "limit_ticks")
     assert same_state(state, now, [1, 3], without=summed)
     assert not same_state(state, now, [0, 2], without=summed)
@@ -176,7 +176,7 @@ def test_time_stands_still_for_robots_that_are_not_active(make_world, trot, asse
     assert np.all(second.time[[0, 2]] > readings.time[[0, 2]])
 
 
-def test_active_robots_move_as_if_all_were(make_world, trot, assert_same):
+def test_active_robots_move_as_if_all_were_active(make_world, trot, assert_same):
     world, all_go = make_world(4, **BUSY), make_world(4, **BUSY)
     for k in range(320):
         active = np.array([True, k % 3 == 0, True, False])
@@ -199,7 +199,7 @@ def test_an_inactive_robot_later_continues_unchanged(make_world, trot, assert_sa
 
 
 def test_an_inactive_robot_ignores_its_target(make_world, trot, assert_same):
-    # Not even if it is no number.
+    # Not even if it is not a number.
     world, other = make_world(4, **BUSY), make_world(4, **BUSY)
     active = np.array([True, False, True, True])
     for k in range(10):

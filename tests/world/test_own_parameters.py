@@ -1,4 +1,4 @@
-"""What single robots differ in: encoders that are off, a centre of mass elsewhere, actuators that stick."""
+"""Parameters of individual robots: encoder offsets, shifted centres of mass, foot shear and sticking actuators."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def world(robot: RobotDescription, engine: str, rack: bool = False, **values: ob
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_an_encoder_that_is_off_moves_the_joint_and_not_its_reading(pupper: RobotDescription, engine: str):
+def test_an_encoder_offset_moves_the_joint_and_not_its_reading(pupper: RobotDescription, engine: str):
     offset = np.zeros((1, 12))
     offset[0, 4] = 0.1
     straight, off = (world(pupper, engine, True, motor_friction=0.0, motor_offset=o) for o in (0 * offset, offset))
@@ -50,10 +50,10 @@ def test_a_centre_of_mass_to_the_left_loads_the_left_legs(pupper: RobotDescripti
         for _ in range(60):
             one.step(pupper.resting_angles)
         rolls.append(one.truth().roll_pitch_yaw[0, 0])
-    # The base link starts where it did; what hangs on it is heavier on the left, and it rolls there.
+    # The base link starts at the same place, is heavier on the left, and rolls to the left.
     np.testing.assert_allclose(places[0], places[1], atol=1e-9)
     assert rolls[1] < rolls[0] - 0.003
-    # Moment of .02 m times the base's weight on the springs of four feet .17 m apart and legs: some hundredths of rad.
+    # Moment of 0.02 m times the base's weight on the springs of feet (0.17 m apart) and legs: some 0.01 rad.
     assert rolls[1] > rolls[0] - 0.1
 
 
@@ -78,7 +78,7 @@ def test_a_state_of_a_shifted_robot_is_restored_exactly(pupper: RobotDescription
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_feet_give_way_along_the_ground_as_their_shear_stiffness_has_it(pupper: RobotDescription, engine: str):
+def test_feet_yield_along_the_ground_by_their_shear_stiffness(pupper: RobotDescription, engine: str):
     one = world(pupper, engine, contact_shear_ratio=0.1)
     for _ in range(100):
         one.step(pupper.resting_angles)
@@ -91,7 +91,7 @@ def test_feet_give_way_along_the_ground_as_their_shear_stiffness_has_it(pupper: 
     np.testing.assert_allclose(moved[:2], [0.003125, -0.0015625], rtol=0.1)
 
 
-def test_bullets_own_friction_does_not_give(pupper: RobotDescription):
+def test_bullets_own_friction_is_rigid(pupper: RobotDescription):
     feet = []
     for force in (0.0, 2.0):
         one = world(pupper, "bullet")
@@ -103,7 +103,7 @@ def test_bullets_own_friction_does_not_give(pupper: RobotDescription):
 
 
 def test_soft_soles_in_bullet_slide_at_the_limit_of_friction(pupper: RobotDescription):
-    # 2.1 kg with a coefficient of .2 hold 4.1 N: 3 N are held, 6 N are not.
+    # 2.1 kg with a coefficient of 0.2 hold 4.1 N: 3 N are held, 6 N are not.
     moved = []
     for force in (3.0, 6.0):
         one = world(pupper, "bullet", contact_shear_ratio=0.5, contact_friction=0.2)
@@ -127,7 +127,7 @@ def test_a_state_of_a_robot_on_soft_soles_is_restored_exactly(pupper: RobotDescr
     np.testing.assert_array_equal(first, again)
 
 
-def test_a_drive_that_sticks_holds_a_load_below_its_friction(pupper: RobotDescription):
+def test_a_sticking_actuator_holds_a_load_below_its_friction(pupper: RobotDescription):
     # Without gains, gravity turns a hip whose leg is held out; friction above its moment holds it.
     drifts = []
     for angle in (0.0, 0.005):
@@ -142,7 +142,7 @@ def test_a_drive_that_sticks_holds_a_load_below_its_friction(pupper: RobotDescri
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.01])
-def test_torques_lag_behind_what_servos_ask_for(pupper: RobotDescription, lag: float):
+def test_torques_lag_behind_the_servos(pupper: RobotDescription, lag: float):
     values = {"servo_kp": 1.0, "servo_kd": 0.0, "motor_strength": 1.0, "servo_latency": 0.0, "torque_lag": lag}
     params = PhysicalParams.nominal(pupper, 1).with_values(pupper, **values)
     state = new_actuation(pupper, 1, 100, WorldConfig())
@@ -161,5 +161,5 @@ def test_torques_lag_behind_what_servos_ask_for(pupper: RobotDescription, lag: f
 
 
 @pytest.mark.parametrize(("stretch", "cut"), [(0.02, 0.01), (-0.02, -0.01), (0.004, 0.004)])
-def test_friction_that_sticks_slides_at_its_greatest_stretch(stretch: float, cut: float):
+def test_presliding_friction_slides_at_its_maximum_deflection(stretch: float, cut: float):
     assert presliding_kernel(stretch, 0.01) == cut

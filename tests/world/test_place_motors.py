@@ -1,4 +1,4 @@
-"""Robots without closed loops begin with the readings that they are given, in every engine."""
+"""Initial motor readings of robots without closed loops, in every engine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.world.sim_world import SimWorld
 
 @pytest.mark.parametrize("engine", ["mujoco", "bullet"])
 @pytest.mark.parametrize("name", ["go2", "pupper_v2"])
-def test_placed_motors_are_read_as_given_and_move_on(engine: str, name: str):
+def test_initial_readings_are_as_set_and_motion_continues(engine: str, name: str):
     if engine == "bullet":
         pytest.importorskip("pybullet")
     robot = RobotDescription.load(name)
@@ -26,7 +26,7 @@ def test_placed_motors_are_read_as_given_and_move_on(engine: str, name: str):
     readings = world.readings()
     np.testing.assert_allclose(readings.motor_angle, angle, atol=1e-12)
     np.testing.assert_allclose(readings.motor_velocity, speed, atol=1e-12)
-    # The true angles are the readings less the offset of the encoders, and the speeds are motion.
+    # True angles are readings minus encoder offsets, and speeds move the joints.
     np.testing.assert_allclose(world.truth().motor_angle, angle - 0.03, atol=1e-12)
     world.actuation.kp[:] = world.actuation.kd[:] = 0.0
     world.actuation.friction[:] = world.actuation.viscous[:] = 0.0

@@ -1,4 +1,4 @@
-"""Worlds in several processes: the same numbers as one, and no process that outlives its owner."""
+"""Worlds in several processes: identical results, and no process that outlives its owner."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world import registry
 from surefoot.world.actuation import SHARED_ARRAYS, new_actuation
 from surefoot.world.interface import WorldConfig
-from surefoot.world.process_world import ProcessWorld, processes_for, worker_pool
+from surefoot.world.process_world import ProcessWorld, process_count, worker_pool
 from surefoot.world.sim_world import SimWorld
 
-# Most tests are of the processes, whatever they simulate: MuJoCo starts and steps faster.
+# Most tests are about processes and use MuJoCo, which starts and steps faster.
 NUM = 5
 
 
@@ -32,13 +32,13 @@ CONFIG = {"start_linear_speed": 0.05, "start_angular_speed": 0.1}
 
 @pytest.fixture
 def single(make_world, varied) -> SimWorld:
-    """Five robots of different parameters in one world."""
+    """Return five robots with different parameters in one world."""
     return make_world(NUM, seed=3, config={"threads": 1, **CONFIG}, **varied(NUM))
 
 
 @pytest.fixture(scope="module")
 def processes(robot: RobotDescription, varied) -> Iterator[tuple[ProcessWorld, dict[str, Any]]]:
-    """The same in three processes, and its state in the beginning."""
+    """Yield the same robots in three processes, and their initial state."""
     params = PhysicalParams.nominal(robot, NUM).with_values(robot, **varied(NUM))
     world = ProcessWorld(robot, NUM, params, 3, WorldConfig(threads=3, **CONFIG), "mujoco")
     yield world, world.get_state()
@@ -47,7 +47,7 @@ def processes(robot: RobotDescription, varied) -> Iterator[tuple[ProcessWorld, d
 
 @pytest.fixture
 def spread(processes) -> ProcessWorld:
-    """The world in three processes, as it was in the beginning."""
+    """Return the world in three processes in its initial state."""
     world, state = processes
     world.set_state(state)
     return world
@@ -69,7 +69,7 @@ def ids(world: ProcessWorld) -> list[int]:
 
 
 def gone(process_id: int, within: float = 20.0) -> bool:
-    """Whether a process ends in so many seconds; one that nobody has waited for counts as ended."""
+    """Return whether a process ends within a time [s]; zombies count as ended."""
     end = time.monotonic() + within
     while time.monotonic() < end:
         try:
@@ -83,7 +83,7 @@ def gone(process_id: int, within: float = 20.0) -> bool:
 
 
 def play(world: Any, trot: Any) -> list[Any]:
-    """All that a simulation can do, and what it says."""
+    """Call all methods of a simulation, and return their results."""
     returned = [world.readings(), world.truth()]
     active = np.array([True, False, True, True, False])
     for k in range(20):
@@ -100,7 +100,7 @@ def play(world: Any, trot: Any) -> list[Any]:
     return returned
 
 
-def test_processes_and_one_world_say_the_same(single, spread, processes, trot, assert_same):
+def test_several_processes_give_the_results_of_one_world(single, spread, processes, trot, assert_same):
     assert_same_state(single.get_state(), processes[1])
     for a, b in zip(play(single, trot), play(spread, trot), strict=True):
         assert_same(a, b)
@@ -109,7 +109,7 @@ def test_processes_and_one_world_say_the_same(single, spread, processes, trot, a
     assert_same(single.params, spread.params)
 
 
-def test_a_state_equals_that_of_one_world_and_continues_in_any(single, spread, trot, assert_same):
+def test_states_are_interchangeable_with_one_world(single, spread, trot, assert_same):
     for k in range(7):
         spread.step(trot(k))
         single.step(trot(k))
@@ -124,8 +124,8 @@ def test_a_state_equals_that_of_one_world_and_continues_in_any(single, spread, t
     assert_same(spread.truth(), single.truth())
 
 
-def test_arrays_of_all_robots_are_known(robot):
-    # A row each for 3 and for 7 robots, or the same whatever the number.
+def test_shared_arrays_are_complete(robot):
+    # Arrays either have one row per robot, for 3 and for 7 robots, or are shared.
     three, seven = (new_actuation(robot, num, 5, WorldConfig())._asdict() for num in (3, 7))
     for name in three:
         assert (len(three[name]), len(seven[name])) == (3, 7) or name in SHARED_ARRAYS, name
@@ -133,7 +133,7 @@ def test_arrays_of_all_robots_are_known(robot):
         np.testing.assert_array_equal(three[name], seven[name])
 
 
-def test_truth_is_the_callers_to_keep(spread, trot):
+def test_truth_may_be_modified_by_the_caller(spread, trot):
     spread.reset()
     spread.step(trot(0))
     truth = spread.truth()
@@ -141,7 +141,7 @@ def test_truth_is_the_callers_to_keep(spread, trot):
     assert spread.truth().motor_angle.all()
 
 
-def test_an_error_in_a_process_is_raised_here_and_the_world_goes_on(robot, spread, trot):
+def test_an_error_in_a_process_is_raised_and_the_world_continues(robot, spread, trot):
     bad = PhysicalParams.nominal(robot, NUM)
     bad.voltage[4] = 100.0
     with pytest.raises(SurefootError, match="voltage is 100; minitaur allows 5 to 30"):
@@ -149,19 +149,19 @@ def test_an_error_in_a_process_is_raised_here_and_the_world_goes_on(robot, sprea
     assert spread.params.voltage.max() < 17
     with pytest.raises(ValueError, match="broadcast") as caught:
         spread._call("push", [(np.zeros((7, 2)),)] * 3)
-    assert "in a process of the world" in caught.value.__notes__[0]
+    assert "in a worker process of the world" in caught.value.__notes__[0]
     assert spread.step(trot(0)).motor_angle.shape == (NUM, 8)
     with pytest.raises(IndexError, match="the world has 5 robots"):
         spread.reset([5])
 
 
 @pytest.mark.parametrize("num_envs", [0, 2])
-def test_a_world_of_no_or_of_other_robots_is_refused(robot, num_envs):
+def test_a_wrong_number_of_robots_is_rejected(robot, num_envs):
     with pytest.raises(SurefootError, match=r"num_envs is 0|params are for 5 robots; the world has 2"):
         ProcessWorld(robot, num_envs, PhysicalParams.nominal(robot, 5), 0, WorldConfig(), "mujoco")
 
 
-def test_an_error_while_it_is_made_is_raised_and_ends_all_processes(robot):
+def test_an_error_during_construction_ends_all_processes(robot):
     before = set(Path("/proc").glob("[0-9]*"))
     with pytest.raises(SurefootError, match="does not settle at its resting pose"):
         ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2, rest=(0.0, float("nan"))), "mujoco")
@@ -175,13 +175,13 @@ def pair(robot: RobotDescription) -> ProcessWorld:
     return ProcessWorld(robot, 2, None, 0, WorldConfig(threads=2), "mujoco")
 
 
-def test_a_process_that_dies_is_one_clear_error(pair, trot):
+def test_a_killed_process_is_one_clear_error(pair, trot):
     pids = ids(pair)
     os.kill(pids[1], signal.SIGKILL)
     with pytest.raises(SurefootError, match=r"a process of the simulated world ended on its own \(exit code -9\)"):
         pair.step(trot(0))
     assert all(map(gone, pids))
-    with pytest.raises(SurefootError, match="this world is closed, or one of its processes is gone"):
+    with pytest.raises(SurefootError, match="this world is closed, or one of its processes has ended"):
         pair.step(trot(0))
 
 
@@ -194,7 +194,7 @@ def test_processes_end_with_the_world(robot):
     assert gone(pid)
 
 
-def test_pooled_workers_give_the_same_results_as_new_ones(robot, single, trot, assert_same, varied):
+def test_pooled_workers_give_the_same_results_as_new_workers(robot, single, trot, assert_same, varied):
     params = PhysicalParams.nominal(robot, NUM).with_values(robot, **varied(NUM))
 
     def make() -> ProcessWorld:
@@ -211,7 +211,7 @@ def test_pooled_workers_give_the_same_results_as_new_ones(robot, single, trot, a
         assert set(ids(again)) == set(first)
         for a, b in zip(play(single, trot), play(again, trot), strict=True):
             assert_same(a, b)
-        # One that has died is not kept, nor are those that were asked with it.
+        # A process that has died is not returned to the pool, nor are the other processes of its world.
         os.kill(first[0], signal.SIGKILL)
         with pytest.raises(SurefootError, match="ended on its own"):
             again.step(trot(0))
@@ -238,7 +238,7 @@ while True:
 
 
 def test_no_process_outlives_an_owner_that_is_killed():
-    # No guard for __main__, and no chance to clean up.
+    # Without a guard for __main__, and without a chance to clean up.
     owner = subprocess.Popen([sys.executable, "-c", OWNER], stdout=subprocess.PIPE, text=True)
     assert owner.stdout is not None
     pids = [int(word) for word in owner.stdout.readline().split()]
@@ -250,12 +250,12 @@ def test_no_process_outlives_an_owner_that_is_killed():
 
 
 @pytest.mark.parametrize(("threads", "num_envs", "expected"), [(3, 5, 3), (8, 5, 5), (1, 5, 1), (0, 1, 1)])
-def test_never_more_processes_than_robots(threads, num_envs, expected):
-    assert processes_for(num_envs, WorldConfig(threads=threads)) == expected
-    assert processes_for(1000, WorldConfig()) == os.cpu_count()
+def test_there_are_never_more_processes_than_robots(threads, num_envs, expected):
+    assert process_count(num_envs, WorldConfig(threads=threads)) == expected
+    assert process_count(1000, WorldConfig()) == os.cpu_count()
 
 
-def test_bullet_in_processes_is_bullet_in_one(robot, trot, assert_same):
+def test_bullet_gives_the_same_results_in_several_processes(robot, trot, assert_same):
     pytest.importorskip("pybullet")
     one, two = (
         registry.make_world("bullet", robot, 3, None, 1, WorldConfig(threads=threads, **CONFIG)) for threads in (1, 2)
@@ -270,6 +270,6 @@ def test_bullet_in_processes_is_bullet_in_one(robot, trot, assert_same):
     two.close()
 
 
-def test_more_robots_than_the_processes_hold_are_refused_at_once(robot):
+def test_more_robots_than_the_processes_can_hold_are_rejected(robot):
     with pytest.raises(SurefootError, match="num_envs is 513; world bullet holds up to 256 robots in each of 2"):
         registry.make_world("bullet", robot, 513, config=WorldConfig(threads=2))

@@ -1,4 +1,4 @@
-"""The registry of worlds: what an entry decides, and what is refused."""
+"""Registry of worlds: effects of entries, and errors."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_a_robot_stands_in_every_world(robot, name):
     assert not world.divergences
 
 
-def test_an_engine_is_one_entry(robot, monkeypatch):
+def test_a_new_engine_is_one_entry(robot, monkeypatch):
     entry = WorldEntry(
         "surefoot.world.mujoco_engine:MujocoEngine", package="mujoco", extra="sim", uses_threads=False, max_robots=1
     )
@@ -33,7 +33,7 @@ def test_an_engine_is_one_entry(robot, monkeypatch):
         make_world("third", robot, 1000)
 
 
-def test_a_world_that_is_unknown_or_not_installed_is_refused(monkeypatch):
+def test_an_unknown_or_uninstalled_world_is_rejected(monkeypatch):
     with pytest.raises(SurefootError, match="world 'moon' does not exist; choices: mujoco, bullet"):
         find_world("moon")
     monkeypatch.setattr(registry, "find_spec", lambda name: None)
@@ -41,14 +41,14 @@ def test_a_world_that_is_unknown_or_not_installed_is_refused(monkeypatch):
         find_world("mujoco")
 
 
-def test_a_world_with_parameters_of_its_own_is_refused_where_others_are_set():
+def test_a_world_with_its_own_parameters_accepts_no_others():
     pytest.importorskip("pybullet")
     with pytest.raises(SurefootError, match="world is 'ensemble'; choices: mujoco, bullet, bullet-published"):
         check_takes_params("ensemble")
 
 
 @pytest.mark.parametrize("name", sorted(name for name, declared in PARAMETERS.items() if declared.engines))
-def test_a_parameter_that_the_engine_does_not_model_is_refused(make_world, name):
+def test_a_parameter_that_the_engine_does_not_model_is_rejected(make_world, name):
     world = make_world(2)
     with pytest.raises(SurefootError, match=f"{name} is 0.001; world mujoco does not model it: set 0, or use"):
         world.set_params([1], world.params.rows([1]).with_values(world.robot, **{name: 0.001}))

@@ -1,4 +1,4 @@
-"""Legs that cross stop each other and joints stop at their limits, in both engines; the Minitaur has neither."""
+"""Self-collisions of legs and joint limits in both engines; the Minitaur has neither."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GO2 = RobotDescription.load("go2")
 
 
 def pressed(engine: str, self_collision: bool) -> SimWorld:
-    """Go2 on its rack, its front left leg turned back and its back left leg turned forward until they would cross."""
+    """Return Go2 on a rack, with its front left leg moved back and its back left leg forward until they would cross."""
     contact = replace(GO2.contact, self_collision=self_collision)
     world = SimWorld(replace(GO2, contact=contact), 1, config=WorldConfig(rack=True, threads=1), engine=engine)
     swing = np.array([{"front_left": 0.62, "back_left": -0.62}.get(name, 0.0) for name in GO2.leg_names])
@@ -27,7 +27,7 @@ def pressed(engine: str, self_collision: bool) -> SimWorld:
     return world
 
 
-def test_legs_that_cross_stop_each_other(engine: str) -> None:
+def test_crossing_legs_stop_each_other(engine: str) -> None:
     index = [GO2.leg_names.index(name) for name in ("front_left", "back_left")]
     apart = {}
     for on in (False, True):
@@ -50,23 +50,23 @@ def test_joints_stop_at_their_limits(engine: str) -> None:
         for _ in range(80):
             world.step(target[None])
         angles = world.truth().motor_angle[0, knees]
-        # Limits give way a little: by some hundredths of a rad at half a rad of the servo's.
+        # Limits are slightly compliant: some 0.01 rad for a servo error of 0.5 rad.
         np.testing.assert_allclose(angles, np.clip(angle, low, high), atol=0.06)
 
 
-def test_pairs_are_of_different_legs_and_can_meet() -> None:
+def test_collision_pairs_are_different_legs_that_can_touch() -> None:
     pairs = collision_pairs(RobotDescription.load("solo8"))
-    # Solo's legs turn in planes on both sides: left and right never meet, nor a foot the base between them.
+    # Solo's legs move in planes on both sides: left and right legs never touch, nor do feet touch the base.
     assert pairs
     for one, other in pairs:
         assert one.rpartition("_")[0] != other.rpartition("_")[0]
         assert one.split("_")[1] == other.split("_")[1]
 
 
-def test_a_foot_meets_the_base_and_what_touches_at_rest_never_collides() -> None:
+def test_feet_collide_with_the_base_and_links_that_touch_at_rest_do_not() -> None:
     pairs = collision_pairs(GO2)
     assert ("base", "front_left_foot") in pairs
-    # Legs that cross while the robot sits have shapes that are too coarse.
+    # Coarse shapes of legs overlap while the robot sits.
     crossed = replace(GO2, poses=replace(GO2.poses, sit=(-0.34, 0.0, 0.9)))
     feet = {("front_left_foot", "front_right_foot"), ("back_left_foot", "back_right_foot")}
     assert feet <= set(pairs)

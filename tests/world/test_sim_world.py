@@ -1,4 +1,4 @@
-"""`SimWorld` on MuJoCo: what each parameter does, what readings are, and that robots are independent."""
+"""`SimWorld` with MuJoCo: effects of parameters, readings, clocks, resets, energy and heat."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ def stand(world: SimWorld, steps: int = 150) -> None:
 # --- standing ---------------------------------------------------------------------------------------------
 
 
-def test_standing_height_is_the_geometrys_less_the_compression(make_world, robot):
+def test_standing_height_is_the_geometric_height_minus_the_penetration(make_world, robot):
     world = make_world()
     stand(world)
     truth = world.truth()
     feet = robot.leg_geometry.foot_in_plane(truth.motor_angle[0, robot.leg_motor_index])
-    # Motor axes lie .0185 m below the base's origin; F / K = 73.3 N / 4 / 3000 N/m = 6.1 mm.
+    # Motor axes are 0.0185 m below the base's origin; F / K = 73.3 N / 4 / 3000 N/m = 6.1 mm.
     expected = 0.0185 - feet[:, 1].mean() - WEIGHT / 4 / 3000
     assert truth.base_position_world[0, 2] == pytest.approx(expected, abs=0.003)
     assert np.all(truth.foot_contact == 1.0)
@@ -57,7 +57,7 @@ def test_legs_stay_closed_while_the_robot_trots(make_world, trot, robot):
     assert worst < 1e-3
 
 
-def test_foot_positions_are_those_of_now(make_world, trot):
+def test_foot_positions_are_current(make_world, trot):
     world = make_world()
     start = world.foot_positions()
     for k in range(60):
@@ -72,9 +72,10 @@ def test_foot_positions_are_those_of_now(make_world, trot):
 # --- parameters -------------------------------------------------------------------------------------------
 
 
-def test_viscous_friction_slows_each_leg_on_the_rack_with_its_time_constant(make_world, robot):
-    # Both motors of a leg turn the same way, so that it swings as one body about their axis, J = .00468 kg m^2. Without
-    # gravity and torque its speed falls as exp(-2 b t / J), or by 2 b dt / J a step: in 23.4 ms to 1 / e for b = .1.
+def test_viscous_friction_slows_each_leg_with_its_time_constant(make_world, robot):
+    # Both motors of a leg turn the same way, so that it swings as one body about their axis with J = 0.00468 kg m^2.
+    # Without gravity and torque, its speed decays as exp(-2 b t / J), by 2 b dt / J per step: for b = 0.1 to 1 / e in
+    # 23.4 ms.
     leg_friction = np.array([0.0, 0.02, 0.05, 0.1])
     friction = np.empty(8)
     friction[robot.leg_motor_index] = leg_friction[:, None]
@@ -99,8 +100,8 @@ def test_viscous_friction_slows_each_leg_on_the_rack_with_its_time_constant(make
     np.testing.assert_allclose(speed, 2.0 * np.exp(-0.020 / np.array([np.inf, 0.117, 0.0468, 0.0234])), rtol=0.03)
 
 
-def test_motors_of_one_robot_have_their_own_viscous_friction(make_world, trot):
-    # What the shaft gets is the motor's torque less b times the speed at the servo step's start.
+def test_motors_may_have_different_viscous_friction(make_world, trot):
+    # The shaft torque is the motor torque minus b times the speed at the start of the servo step.
     friction = 0.01 * np.arange(8)
     world = make_world(config={"rack": True}, control_step=0.001, motor_viscous_friction=friction)
     for k in range(60):
@@ -111,8 +112,8 @@ def test_motors_of_one_robot_have_their_own_viscous_friction(make_world, trot):
     assert np.abs(lost[1:]).min() > 1e-3
 
 
-def test_the_greatest_viscous_friction_is_no_trouble_for_the_lightest_legs(make_world, robot):
-    # Folded, with a fifth of the mass, a motor turns .00013 kg m^2: .1 N m s/rad takes 3/4 of its speed in a step.
+def test_maximum_viscous_friction_is_stable_for_the_lightest_legs(make_world, robot):
+    # Folded, with a fifth of the mass, a motor drives 0.00013 kg m^2: 0.1 N m s/rad removes 3/4 of its speed per step.
     greatest = robot.allowed["motor_viscous_friction"][1]
     light = {"leg_mass_ratio": 0.2, "leg_inertia_ratio": 0.2, "control_step": 0.001, "motor_strength": 0.0}
     config = {"rack": True, "threads": 1, "rest": (0.0, 0.7)}
@@ -125,13 +126,13 @@ def test_the_greatest_viscous_friction_is_no_trouble_for_the_lightest_legs(make_
     for _ in range(100):
         world.step(world.resting_angles)
         now = np.abs(world.truth().motor_velocity[0]).max()
-        # What is left in the end is the loops' own settling without gravity.
+        # The remaining motion is the settling of the loops without gravity.
         assert now < max(before, 1e-3)
         before = now
     assert before < 1e-3
 
 
-def test_params_out_of_bounds_are_refused(robot):
+def test_params_out_of_bounds_are_rejected(robot):
     params = PhysicalParams.nominal(robot, 1)
     params.voltage[0] = 100.0
     with pytest.raises(SurefootError, match=r"voltage is 100; minitaur allows 5 to 30"):
@@ -142,7 +143,7 @@ def test_params_out_of_bounds_are_refused(robot):
     ("num_envs", "message"),
     [(3, "params are for 2 robots; the world has 3"), (0, "num_envs is 0; a world needs 1 robot")],
 )
-def test_a_wrong_number_of_robots_is_refused(robot, num_envs, message):
+def test_a_wrong_number_of_robots_is_rejected(robot, num_envs, message):
     with pytest.raises(SurefootError, match=message):
         SimWorld(robot, num_envs, PhysicalParams.nominal(robot, 2))
 
@@ -150,7 +151,7 @@ def test_a_wrong_number_of_robots_is_refused(robot, num_envs, message):
 # --- readings ---------------------------------------------------------------------------------------------
 
 
-def test_bias_shows_exactly_in_roll_and_pitch(make_world, trot):
+def test_bias_is_added_exactly_to_roll_and_pitch(make_world, trot):
     world = make_world(2, imu_bias=[[0.0, 0.0], [0.03, -0.02]])
     for k in range(20):
         angles = world.step(trot(k)).roll_pitch_yaw
@@ -176,7 +177,7 @@ def test_noise_has_its_standard_deviation(make_world):
 
 
 def test_readings_are_as_old_as_the_control_latency(make_world, trot):
-    # A control step of one servo step, so that the truth of every servo step is known.
+    # A control step of one servo step, so that the true state of every servo step is available.
     world = make_world(3, control_step=0.001, control_latency=[0.0, 0.020, 0.0025])
     angle, tilt = [world.truth().motor_angle], [world.truth().roll_pitch_yaw]
     for k in range(100):
@@ -197,7 +198,7 @@ def test_reading_twice_reads_the_same(make_world, trot, assert_same):
     assert_same(world.step(trot(0)), world.readings())
 
 
-def test_truth_is_the_callers_to_keep(make_world, trot):
+def test_truth_may_be_modified_by_the_caller(make_world, trot):
     world = make_world()
     kept = world.truth()
     before = {name: value.copy() for name, value in vars(kept).items()}
@@ -214,7 +215,7 @@ def test_each_robot_has_its_own_clock(make_world, trot):
     world = make_world(3, control_step=periods)
     for k in range(1, 41):
         time = world.step(trot(k)).time
-        # Control steps end at the nearest servo step, and do not drift.
+        # Control steps end at the nearest servo step, without drift.
         np.testing.assert_allclose(time, k * periods, atol=0.0005 + 1e-12)
     np.testing.assert_allclose(time, [0.120, 0.800, 0.180])
 
@@ -230,7 +231,7 @@ def test_the_number_of_threads_does_not_matter(make_world, trot, assert_same, va
             assert_same(one, other)
 
 
-def test_starting_speeds_stay_within_their_bounds(make_world):
+def test_initial_speeds_are_within_their_bounds(make_world):
     world = make_world(40, config={"start_linear_speed": 0.05})
     speeds = world.truth().base_velocity_world
     assert np.abs(speeds).max() <= 0.05
@@ -241,7 +242,7 @@ def test_starting_speeds_stay_within_their_bounds(make_world):
 # --- reset ------------------------------------------------------------------------------------------------
 
 
-def test_reset_brings_back_the_start(make_world, trot, assert_same):
+def test_a_reset_restores_the_start(make_world, trot, assert_same):
     world = make_world(2)
     first = world.readings()
     truth = world.truth()
@@ -271,7 +272,7 @@ def test_a_target_that_is_not_finite_resets_only_that_robot(make_world, trot, as
     assert not world.truth().diverged.any()
 
 
-def test_a_state_gives_back_noise_over_many_blocks(make_world, assert_same):
+def test_a_restored_state_repeats_noise_over_many_blocks(make_world, assert_same):
     world = make_world(2, imu_noise=0.05, control_step=0.001)
     stand(world, 200)
     state = world.get_state()
@@ -285,7 +286,7 @@ def test_a_state_gives_back_noise_over_many_blocks(make_world, assert_same):
 @pytest.mark.parametrize(
     ("values", "rule"), [({"knee_friction": 0.01}, "world mujoco does not model"), ({}, "imu_noise is 9")]
 )
-def test_refused_parameters_change_no_robot(make_world, values, rule):
+def test_rejected_parameters_do_not_change_any_robot(make_world, values, rule):
     world = make_world(2)
     new_params = world.params.rows([0]).with_values(world.robot, voltage=14.0, **values)
     if not values:
@@ -298,7 +299,7 @@ def test_refused_parameters_change_no_robot(make_world, values, rule):
 # --- energy and heat --------------------------------------------------------------------------------------
 
 
-def test_energy_is_that_of_torque_and_speed_at_servo_rate(make_world, trot):
+def test_energy_integrates_torque_times_speed_at_servo_rate(make_world, trot):
     world = make_world(1, control_step=0.001)
     total = 0.0
     for k in range(50):
@@ -321,8 +322,8 @@ def test_energy_of_a_control_step_sums_its_servo_steps(make_world, trot):
         assert coarse.truth().energy[0] == pytest.approx(total, rel=1e-12)
 
 
-def test_heat_is_that_of_the_currents_at_servo_rate(make_world, trot):
-    # 20 A and less are on the torque table's rising part, where the current follows from the torque; R is .186 Ohm.
+def test_heat_integrates_currents_at_servo_rate(make_world, trot):
+    # Up to 20 A, the torque table is increasing, so that the current follows from the torque; R = 0.186 Ohm.
     world = make_world(1, control_step=0.001, motor_strength=0.5)
     table = world.robot.torque_table
     for k in range(50):
@@ -334,8 +335,8 @@ def test_heat_is_that_of_the_currents_at_servo_rate(make_world, trot):
         np.testing.assert_allclose(truth.heat[below], 0.001 * 0.186 * current[below] ** 2, rtol=1e-9)
 
 
-def test_heat_of_a_drive_grows_with_the_square_of_its_torque():
-    # Pupper's actuators have 1.1 N m up to 10 rad/s; half of these 11 W is heat at full torque.
+def test_heat_of_a_joint_actuator_grows_with_the_square_of_its_torque():
+    # Pupper's actuators have 1.1 N m up to 10 rad/s; half of this power of 11 W is heat at full torque.
     robot = RobotDescription.load("pupper_v2")
     world = SimWorld(robot, 1, PhysicalParams.nominal(robot, 1).with_values(robot, control_step=0.001))
     world.step(np.zeros((1, 12)))
@@ -358,7 +359,7 @@ def test_heat_of_a_control_step_sums_its_servo_steps(make_world, trot):
 @pytest.mark.parametrize("protected", [True, False])
 def test_thermal_protection_switches_off(make_world, protected):
     world = make_world(1, config={"thermal_protection": protected})
-    world.push([[0.0, 0.0, -300.0]])  # more than the motors can carry
+    world.push([[0.0, 0.0, -300.0]])  # more than the motors can support
     hot = []
     for _ in range(200):
         world.step(world.resting_angles)
@@ -371,6 +372,6 @@ def test_thermal_protection_switches_off(make_world, protected):
     assert np.all(world.truth().motor_torque != 0)
 
 
-def test_world_config_is_kept(robot):
+def test_a_world_keeps_its_config(robot):
     world = SimWorld(robot, 1, config=WorldConfig(rest=(0.1, 1.8)))
     np.testing.assert_allclose(world.resting_angles, robot.pose_angles([0.1] * 4, [1.8] * 4))

@@ -1,7 +1,7 @@
-"""Servo, DC motor and delay: laws of physics as pure functions, the same for every world and every fit.
+"""Actuator models (servo, DC motor, joint actuator, delay) as pure functions, shared by all worlds and fits.
 
-Each law exists once, as a compiled scalar kernel (`*_kernel`, for the inner loops); those that fits take too are
-exposed as an array function of the same arguments that broadcasts like any NumPy ufunc.
+Each model exists once, as a compiled scalar kernel (`*_kernel`) for the inner loops. Models that fits also use are
+exposed as an array function with the same arguments, which broadcasts like any NumPy ufunc.
 """
 
 from surefoot.actuator.compiled import drop_stale_caches

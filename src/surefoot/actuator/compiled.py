@@ -1,12 +1,13 @@
-"""Compilation of kernels with arrays: inlined into their caller, without reference counts.
+"""Compilation of kernels that take arrays: inlined into their caller, without reference counting.
 
-numba counts references, an atomic operation, whenever an array is taken out of a named tuple or sliced; the loop over
-servo steps had some 500 such places. Without numba's runtime there are none, and a kernel that would allocate memory
-in an inner loop does not compile. The Python caller owns the arrays. Division is IEEE's, without a branch for a zero
-divisor in every kernel. Both together took the world of 64 to 256 robots from .83 of MuJoCo's bare speed to over .9.
+numba counts references, with an atomic operation, whenever an array is taken out of a named tuple or sliced; the loop
+over servo steps had some 500 such places. Without numba's runtime there are none, and a kernel that would allocate
+memory in an inner loop does not compile. The Python caller owns the arrays. Division follows IEEE 754, without a branch
+for a zero divisor. Together this raised the speed of a world of 64 to 256 robots from 0.83 to over 0.9 of MuJoCo's
+bare speed.
 
-numba caches compiled functions beside their source and checks only that file's age. A loop that inlines a law of
-another module would keep the old law after an edit. So all caches are deleted whenever a source has changed.
+numba caches compiled functions next to their source and checks only the age of that file. A loop that inlines a kernel
+of another module would keep the old kernel after an edit. Therefore, all caches are deleted whenever a source changes.
 """
 
 from __future__ import annotations
@@ -27,21 +28,21 @@ _FOLDERS = [_PACKAGE / "actuator", _PACKAGE / "world"]
 
 
 def kernel(function: Function) -> Function:
-    """Compile a function for inner loops, which takes arrays or named tuples of them and allocates nothing."""
+    """Compile a function for inner loops, which takes arrays or named tuples of arrays and allocates no memory."""
     return cast(Function, njit(cache=True, forceinline=True, error_model="numpy", _nrt=False)(function))
 
 
 def kernel_sources() -> list[Path]:
-    """Return the files that kernels are compiled from, or take constants and functions from."""
+    """Return the source files of the kernels, and of the constants and functions that they use."""
     folders = [_PACKAGE, *(_PACKAGE / name for name in ("actuator", "robot", "world"))]
     return sorted(path for folder in folders for path in folder.glob("*.py"))
 
 
 def drop_stale_caches() -> None:
-    """Delete the caches beside the kernels if the sources differ from those that they were compiled from."""
+    """Delete the cached kernels if their sources have changed since they were compiled."""
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in kernel_sources())).hexdigest()
     stamp = _FOLDERS[0] / "__pycache__" / "kernels.sha256"
-    # Where the folder can't be written, the package is installed and its sources do not change.
+    # If the folder is not writable, the package is installed and its sources do not change.
     with contextlib.suppress(OSError):
         if stamp.is_file() and stamp.read_text() == digest:
             return

@@ -1,8 +1,7 @@
 """Delay of readings: a history of timestamped samples, read with linear interpolation.
 
-Tan et al. 2018, section V-A: with samples (t_i, O_i), a reader at time t with latency L gets O at
-t - L, interpolated between the two samples around it. Read with samples taken at t = 0, 1, 2 (in servo
-steps):
+Tan et al. 2018, section V-A: with samples (t_i, O_i) and a latency L, the reading at time t is O at t - L, interpolated
+between the two samples around it. With samples taken at t = 0, 1, 2 (in servo steps), the readings are:
 
     latency   at t = 0   at t = 1            at t = 2
     0         O_0        O_1                 O_2
@@ -19,7 +18,7 @@ from surefoot.arrays import Array
 
 @kernel
 def push_kernel(times: Array, samples: Array, count: int, time: float, sample: Array) -> None:
-    """Store the sample number `count` in one robot's ring buffers, times (H,) and samples (H, D)."""
+    """Store sample number `count` (counted from 0) in one robot's ring buffers, times (H,) and samples (H, D)."""
     slot = count % len(times)
     times[slot] = time
     for j in range(len(sample)):
@@ -30,7 +29,7 @@ def push_kernel(times: Array, samples: Array, count: int, time: float, sample: A
 def read_kernel(times: Array, samples: Array, count: int, time: float, width: int, out: Array) -> None:
     """Write the first `width` entries of one robot's reading at `time` to `out`, after `count` pushes.
 
-    A time before the oldest sample kept reads the oldest; one after the newest reads the newest.
+    Times before the oldest stored sample return the oldest sample; times after the newest return the newest.
     """
     size = len(times)
     newest = count - 1
@@ -38,13 +37,13 @@ def read_kernel(times: Array, samples: Array, count: int, time: float, width: in
     later = newest
     while later > oldest and times[(later - 1) % size] > time:
         later -= 1
-    # Now `later` is the oldest sample whose predecessor is not after `time`.
+    # Now `later` is the oldest sample whose predecessor is at or before `time`.
     b = later % size
     if later == oldest or times[b] <= time:
         for j in range(width):
             out[j] = samples[b, j]
         return
     a = (later - 1) % size
-    share = (time - times[a]) / (times[b] - times[a])
+    weight = (time - times[a]) / (times[b] - times[a])
     for j in range(width):
-        out[j] = samples[a, j] + share * (samples[b, j] - samples[a, j])
+        out[j] = samples[a, j] + weight * (samples[b, j] - samples[a, j])

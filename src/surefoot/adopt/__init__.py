@@ -1,1 +1,1 @@
-"""Policies that others trained, brought in as policy files of surefoot."""
+"""Adoption of third-party policies: conversion to surefoot's policy files, and the search for mistakes in it."""

@@ -1,4 +1,4 @@
-"""Adopt a policy: read its files as data, and return a policy file of surefoot."""
+"""Conversion of a third-party policy to a policy file of surefoot; its files are only read as data."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from surefoot.adopt import torchscript_network
 from surefoot.adopt.builder import ForeignNetwork, build_policy, check_specification
 from surefoot.adopt.constant_inputs import constant_inputs
 from surefoot.adopt.formats import legged_gym, manual, mjlab, rl_sar, unitree_rl_lab
-from surefoot.adopt.formats.reading import matched_joints
-from surefoot.adopt.mistakes import fits, joint_orders
+from surefoot.adopt.formats.common import match_joints
+from surefoot.adopt.mistakes import fits_robot, joint_orders
 from surefoot.adopt.onnx_network import OnnxNetwork
 from surefoot.adopt.onnx_weights import read_network
 from surefoot.adopt.specification import PolicySpecification
@@ -28,12 +28,12 @@ from surefoot.robot.commands import COMMANDS
 
 @dataclass(frozen=True)
 class Format:
-    """A format of policies."""
+    """A format of third-party policies."""
 
     configs: tuple[str, ...]
-    """Places of its configuration as seen from the network's folder; empty, if the network has it all."""
+    """Possible paths of the configuration relative to the network's folder; empty if the network file contains it."""
     read: Callable[[Path, RobotDescription, Mapping[str, Any]], PolicySpecification]
-    """Reads the configuration; fields that the user gives need not be in it."""
+    """Reader of the configuration; fields that the user overrides may be missing in it."""
 
 
 FORMATS: dict[str, Format] = {
@@ -47,10 +47,12 @@ FORMATS: dict[str, Format] = {
 
 @dataclass(frozen=True)
 class AdoptedPolicy:
-    """A policy file, and what the user should know."""
+    """An adopted policy."""
 
     data: bytes
+    """The policy file."""
     specification: PolicySpecification
+    """The specification it was built from, with notes for the user."""
 
 
 def adopt(
@@ -62,19 +64,19 @@ def adopt(
     changes: dict[str, Any] | None = None,
     trusted: bool = False,
 ) -> AdoptedPolicy:
-    """Return a policy of others as a policy file.
+    """Convert a third-party policy to a policy file.
 
     Args:
-        path: its network: ONNX, or TorchScript.
+        path: network file: ONNX or TorchScript.
         format_name: one of `FORMATS`.
-        robot: that it is for.
-        name: of the policy, where its files have none.
-        config: its configuration; the format's usual file beside the network, if not given.
-        changes: fields of the specification that replace those of the files.
-        trusted: TorchScript may be loaded with all rights of this process.
+        robot: robot that the policy is for.
+        name: name of the policy, unless its files have one.
+        config: configuration file; defaults to the format's usual file next to the network.
+        changes: fields of the specification that override the files.
+        trusted: load TorchScript with all rights of this process.
 
     Raises:
-        SurefootError: files that are missing, hostile, not understood, or do not fit each other or the robot.
+        SurefootError: files are missing, malicious, unsupported, or do not match each other or the robot.
     """
     kind, changes = FORMATS[format_name], changes or {}
     config = _find_config(path, kind, format_name, config)
@@ -85,7 +87,7 @@ def adopt(
     with prefix_errors(config):
         specification = _with_robots_names(specification, robot)
         width = _check(specification, robot)
-        specification = replace(specification, notes={**specification.notes, **_doubts(specification)})
+        specification = replace(specification, notes={**specification.notes, **_gravity_note(specification)})
     data = read_network(path)
     source = {"format": format_name}
     for part, content in (("network", data), ("configuration", config.read_bytes())):
@@ -100,7 +102,7 @@ def adopt(
 
 
 def _check_ranges(changes: Mapping[str, Any]) -> None:
-    """Refuse ranges of commands that the user gives and that do not hold 0."""
+    """Reject command ranges of the user that do not contain 0."""
     for name in COMMANDS:
         low, high = changes.get(name) or (0.0, 0.0)
         if not low <= 0.0 <= high:
@@ -111,24 +113,24 @@ def _check_ranges(changes: Mapping[str, Any]) -> None:
 
 
 def _find_config(path: Path, kind: Format, name: str, config: Path | None) -> Path:
-    """Return the path of a policy's configuration: the given one, or the format's usual one."""
+    """Return the path of a policy's configuration file, which defaults to the format's usual file."""
     if not kind.configs:
         if config is not None:
-            raise SurefootError(f"--config is given; {name} has everything in the network's file")
+            raise SurefootError(f"--config is given, but {name} has everything in the network's file")
         return path
     if config is not None:
         return config
-    usual = [path.parent / place for place in kind.configs]
-    found = next((one for one in usual if one.is_file()), None)
-    if found is None and len(usual) > 1:
+    candidates = [path.parent / name for name in kind.configs]
+    existing = next((candidate for candidate in candidates if candidate.is_file()), None)
+    if existing is None and len(candidates) > 1:
         raise SurefootError(
             f"{path}: has no {kind.configs[0]} next to it, nor in params next to its folder; give --config"
         )
-    return found or usual[0]
+    return existing or candidates[0]
 
 
 def _stand_note(read: PolicySpecification) -> dict[str, str]:
-    """Return the note about a policy that was never trained to stand, by the speeds that its file states."""
+    """Return a note if the policy was never trained to stand, judging by the command ranges in its file."""
     apart = [
         f"{name.replace('_', ' ')} {low:g} to {high:g} {unit}"
         for name, unit in COMMANDS.items()
@@ -139,44 +141,44 @@ def _stand_note(read: PolicySpecification) -> dict[str, str]:
 
 
 def _with_robots_names(specification: PolicySpecification, robot: RobotDescription) -> PolicySpecification:
-    """Return a specification whose joints have the robot's names, where they differ by what frameworks add."""
+    """Replace joint names by the robot's motor names, if they differ only by affixes that frameworks add."""
     joints = specification.joints
     if {*joints} == {*robot.motor_names}:
         return specification
-    found = matched_joints(joints, robot.motor_names)
-    if found is None or {*found} != {*robot.motor_names}:
+    motors = match_joints(joints, robot.motor_names)
+    if motors is None or {*motors} != {*robot.motor_names}:
         return specification
-    note = f"names of joints: {joints[0]} is {robot.name}'s {found[0]}, and so on"
-    return replace(specification, joints=found, notes={**specification.notes, "names": note})
+    note = f"names of joints: {joints[0]} is {robot.name}'s {motors[0]}, and so on"
+    return replace(specification, joints=motors, notes={**specification.notes, "names": note})
 
 
-def _doubts(specification: PolicySpecification) -> dict[str, str]:
-    """Return notes about numbers that are usually others."""
+def _gravity_note(specification: PolicySpecification) -> dict[str, str]:
+    """Return a note if the scale of gravity is unusual."""
     gravity = next((term for term in specification.observations if term.term == "gravity"), None)
     if gravity is None:
         return {}
     scales = np.atleast_1d(gravity.scale)
     length, doubts = float(np.abs(scales).max()), []
     if not math.isclose(length, 1.0, rel_tol=0.01):
-        doubts.append(f"its length is {length:.3g}, usual is 1")
+        doubts.append(f"its length is {length:.3g}, usually 1")
     if scales.min() < 0.0:
-        doubts.append("its sign is the other one than usual: (0, 0, -1) of a level base")
+        doubts.append("its sign is opposite to the usual one: (0, 0, -1) of a level base")
     return {"gravity": f"gravity: {'; '.join(doubts)}"} if doubts else {}
 
 
 def _check(specification: PolicySpecification, robot: RobotDescription) -> int:
-    """Return how many numbers the network must take; an error says which usual order of joints would fit."""
+    """Return the network's expected number of inputs; an error names a usual joint order that would match."""
     try:
         return check_specification(specification, robot)
     except SurefootError as error:
         orders = joint_orders(robot) if "default_pose" in str(error) else {}
-        fitting = [name for name, order in orders.items() if fits(replace(specification, joints=order), robot)]
-        hint = f"; it fits with the joints in the order {' or '.join(fitting[:2])}" if fitting else ""
+        matching = [name for name, order in orders.items() if fits_robot(replace(specification, joints=order), robot)]
+        hint = f"; it fits with the joints in the order {' or '.join(matching[:2])}" if matching else ""
         raise SurefootError(f"{error}{hint}") from error
 
 
 def load_network(path: Path, data: bytes, width: int, trusted: bool = False) -> ForeignNetwork:
-    """Return a network for observations of a width."""
+    """Parse a network file for observations of a given width."""
     if path.suffix == ".onnx":
         return OnnxNetwork(data)
     if path.suffix in (".pt", ".jit", ".pth"):

@@ -1,11 +1,11 @@
-"""A policy file of surefoot from a foreign policy's specification and network.
+"""Builder of a policy file from the specification and network of a third-party policy.
 
-The file takes raw readings and gives motor angles: order, signs, offsets, scales, clips and histories of the
-specification become nodes of its graph. What the policy remembers is memory of the contract: the last action as the
-network gave it, clocks, and hidden states.
+The policy file takes raw readings and outputs motor angles: orders, signs, offsets, scales, clips and histories of the
+specification become nodes of its graph. The state of the policy is memory of the contract: the last raw action of the
+network, clocks, and hidden states.
 
-A clock of period T is a rotation by the control step's angle: (sin, cos - 1), so that memory starts at 0. Its length is
-brought back to 1 in each step, since 32-bit numbers would let it drift.
+A clock with period T is stored as (sin, cos - 1) of its phase, so that memory starts at 0, and rotated in each control
+step. It is normalized in each step, because it would drift with 32-bit numbers.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from surefoot.deploy.checks import check_policy
 from surefoot.errors import SurefootError, choices
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import add_digest, read_parts
-from surefoot.policy.graph import LARGEST, Graph, Value
+from surefoot.policy.graph import MAX_FLOAT, Graph, Value
 from surefoot.policy.network import INPUT, OUTPUT, check_network
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
@@ -34,14 +34,14 @@ from surefoot.task.contract_mapping import contract_from_task
 from surefoot.task.observation import Observer
 
 _REWARD = {"track_velocity": 1.0, "track_yaw_rate": 0.5}
-"""Reward of the task in a contract: how well commands are followed; the policy's own is not known."""
-_EPISODE = 20.0
-"""Length of an episode [s]."""
-EFFECT = "constants_effect"
-"""Figure of an adopted policy's contract: change of a joint's target [rad] where a constant input changes by 1."""
-_PROBES, _PROBE_NOISE = 64, 0.5
-"""Observations that the effect of constants is measured on, and the standard deviation of their other numbers."""
-PARTS = {
+"""Reward of the contract's task: command tracking, because the reward of the policy's training is unknown."""
+_EPISODE_DURATION = 20.0
+"""Duration of an episode [s]."""
+CONSTANTS_EFFECT = "constants_effect"
+"""Metric in an adopted policy's contract: change of a joint target [rad] if a constant input changes by 1."""
+_NUM_PROBES, _PROBE_NOISE = 64, 0.5
+"""Number of random observations for measuring that effect, and the standard deviation of their inputs."""
+OBSERVATION_PARTS = {
     "command": ("command",),
     "gravity": ("gravity",),
     "angular_velocity": ("roll_rate", "pitch_rate", "yaw_rate"),
@@ -52,52 +52,52 @@ PARTS = {
     "clock": (),
     "constant": (),
 }
-"""Parts of surefoot's observation that each term takes."""
+"""Parts of surefoot's observation from which each term is computed."""
 VECTOR_COLUMNS = {
     "command": ("command_forward", "command_sideways", "command_yaw_rate"),
     "gravity": ("gravity_x", "gravity_y", "gravity_z"),
     "angular_velocity": ("roll_rate", "pitch_rate", "yaw_rate"),
     "roll_pitch": ("roll", "pitch"),
 }
-"""Columns of surefoot's observation for the numbers of terms that are vectors."""
+"""Columns of surefoot's observation for terms that are vectors."""
 
 
 def adopted_specification(contract: Contract) -> PolicySpecification | None:
-    """Return the specification that an adopted policy was made of; None for a policy that was not adopted."""
+    """Return the specification that an adopted policy was built from; None for a policy that was not adopted."""
     adopted = contract.figures.get("adopted")
     stated = adopted.get("specification") if isinstance(adopted, Mapping) else None
     return from_mapping(PolicySpecification, stated, "specification") if isinstance(stated, Mapping) else None
 
 
 def adopted_notes(contract: Contract) -> dict[str, str]:
-    """Return what was assumed as a policy was adopted, by field of its specification."""
+    """Return the notes and assumptions of an adoption by field of the specification."""
     adopted = contract.figures.get("adopted")
     notes = adopted.get("notes") if isinstance(adopted, Mapping) else None
     return {str(name): str(note) for name, note in notes.items()} if isinstance(notes, Mapping) else {}
 
 
 class ForeignNetwork(Protocol):
-    """A network as nodes that a policy file may have."""
+    """A third-party network, convertible to nodes that a policy file may have."""
 
     @property
     def inputs(self) -> int | None:
-        """Numbers of an observation."""
+        """Width of an observation; None: any."""
 
     @property
     def outputs(self) -> int:
-        """Numbers of an action."""
+        """Width of an action."""
 
     @property
     def hidden(self) -> tuple[int, ...]:
-        """Widths of the hidden states, which begin at 0."""
+        """Widths of the hidden states, which start at 0."""
 
     def add(self, graph: Graph, observation: Value, hidden: list[Value]) -> tuple[Value, list[Value]]:
-        """Add its nodes to a graph; return the action and the next hidden states."""
+        """Add the network's nodes to a graph; return the action and the next hidden states."""
 
 
 @dataclass(frozen=True)
 class _Row:
-    """A number of the network's observation: clip(clip(sum of weights * raw columns + offset) * scale)."""
+    """One element of the network's observation: clip_after(clip(weights * raw columns + offset) * scale)."""
 
     weights: dict[int, float]
     offset: float
@@ -107,7 +107,7 @@ class _Row:
 
     @property
     def is_constant(self) -> bool:
-        """Whether it never changes."""
+        """Whether the element never changes."""
         clipped = any(clip is not None and clip[0] == clip[1] for clip in (self.clip, self.clip_after))
         return not self.weights or self.scale == 0.0 or clipped
 
@@ -119,19 +119,19 @@ def build_policy(
     name: str,
     source: Mapping[str, Any],
 ) -> bytes:
-    """Return the bytes of a policy file.
+    """Build a policy file.
 
     Args:
-        specification: of the policy.
-        network: of the policy.
-        robot: that it runs on.
-        name: its name, where the specification has none.
-        source: where it comes from, for the contract's figures.
+        specification: specification of the policy.
+        network: network of the policy.
+        robot: robot that the policy runs on.
+        name: name of the policy, unless the specification has one.
+        source: provenance, which is stored in the contract's metrics.
 
     Raises:
-        SurefootError: a specification that does not fit the network or the robot.
+        SurefootError: the specification does not match the network or the robot.
     """
-    maker = PolicyMaker(specification, network, robot)
+    maker = PolicyBuilder(specification, network, robot)
     contract = maker.contract(specification.name or name, {**source, **_effect_of_constants(maker)})
     check_policy(contract, robot)
     model = maker.graph(contract).to_model(contract, robot.archive)
@@ -141,10 +141,11 @@ def build_policy(
     return data
 
 
-def _effect_of_constants(maker: PolicyMaker) -> dict[str, float]:
-    """Return how far a joint's target moves [rad] where the most effective constant input changes by 1.
+def _effect_of_constants(maker: PolicyBuilder) -> dict[str, float]:
+    """Measure how much a joint target changes [rad] if the most influential constant input changes by 1.
 
-    It is the greatest mean, over constants and joints, for other inputs at random. Empty without constants.
+    The change is averaged over random observations; the maximum over constants and joints is returned. Empty without
+    constants.
     """
     if not maker.constant_places:
         return {}
@@ -154,8 +155,8 @@ def _effect_of_constants(maker: PolicyMaker) -> dict[str, float]:
     states = [Value(f"hidden_{k}", width) for k, width in enumerate(maker.network.hidden)]
     action, _ = maker.network.add(graph, observation, states)
     model = graph.to_onnx([observation, *states], [action]).SerializeToString()
-    rows = np.random.default_rng(0).normal(scale=_PROBE_NOISE, size=(_PROBES, observation.width))
-    at_rest = {state.name: np.zeros((_PROBES, state.width), np.float32) for state in states}
+    rows = np.random.default_rng(0).normal(scale=_PROBE_NOISE, size=(_NUM_PROBES, observation.width))
+    at_rest = {state.name: np.zeros((_NUM_PROBES, state.width), np.float32) for state in states}
 
     def targets(inputs: Array) -> Array:
         return np.asarray(run_model(model, {"observation": inputs.astype(np.float32), **at_rest})[0] * scale)
@@ -166,15 +167,15 @@ def _effect_of_constants(maker: PolicyMaker) -> dict[str, float]:
         changed = rows.copy()
         changed[:, place] += 1.0
         effects.append(float(np.abs(targets(changed) - before).mean(axis=0).max()))
-    return {EFFECT: max(effects)}
+    return {CONSTANTS_EFFECT: max(effects)}
 
 
 @dataclass(frozen=True)
 class NetworkSizes:
-    """The sizes of a network that is not there, or not yet."""
+    """Sizes of a network, for checks without the network itself."""
 
     inputs: int | None
-    """None: as many as the specification says."""
+    """Width of an observation; defaults to the specification's if None."""
     outputs: int
     hidden: tuple[int, ...] = ()
 
@@ -184,44 +185,44 @@ class NetworkSizes:
 
 
 def check_specification(specification: PolicySpecification, robot: RobotDescription) -> int:
-    """Refuse a specification that does not fit the robot; return how many numbers the network must take.
+    """Check a specification against the robot; return the expected number of inputs of the network.
 
     Raises:
-        SurefootError: other joints, a default pose that legs can't have, numbers that do not fit a term.
+        SurefootError: the joints differ, the legs can't reach the default pose, or a term has the wrong size.
     """
     specification.check_commands()
     width = sum(_width(term, robot.num_motors) * len(term.steps) for term in specification.observations)
-    maker = PolicyMaker(specification, NetworkSizes(width, len(specification.joints)), robot)
+    maker = PolicyBuilder(specification, NetworkSizes(width, len(specification.joints)), robot)
     check_policy(maker.contract("policy", {}), robot)
     return width
 
 
 def _likely_rest(more: int, steps: int, joints: int) -> str:
-    """Return what the numbers that a specification lacks are likely to be, for the end of a message."""
-    likely = {3: "the speed of the base, which no sensor of a robot gives", 4: "the contacts of the feet"}
+    """Guess the meaning of inputs that the specification lacks, as the end of a message."""
+    likely = {3: "the speed of the base, which no sensor of a robot measures", 4: "the contacts of the feet"}
     likely |= {joints: "the last action, or another term of the joints"}
     what = likely.get(more // max(steps, 1)) if more > 0 and more % max(steps, 1) == 0 else None
     return f"; {more} more could be {what}" if what else ""
 
 
 def _width(term: ObservationTerm, joints: int) -> int:
-    """Return the numbers of a term of one age."""
+    """Return the width of an observation term for one time step."""
     if term.columns is not None:
         return len(term.columns)
     counts = {"clock": 2 * len(term.phases), "constant": len(term.values)}
     return counts.get(term.term, len(VECTOR_COLUMNS[term.term]) if term.term in VECTOR_COLUMNS else joints)
 
 
-class PolicyMaker:
-    """Contract and graph of one policy.
+class PolicyBuilder:
+    """Builder of the contract and graph of one policy.
 
     Args:
-        specification: of the policy.
-        network: of the policy, or its sizes.
-        robot: that it runs on.
+        specification: specification of the policy.
+        network: network of the policy, or only its sizes.
+        robot: robot that the policy runs on.
 
     Raises:
-        SurefootError: a specification that does not fit the network or the robot.
+        SurefootError: the specification does not match the network or the robot.
     """
 
     def __init__(self, specification: PolicySpecification, network: ForeignNetwork, robot: RobotDescription) -> None:
@@ -234,8 +235,8 @@ class PolicyMaker:
         self._has_last = any(term.term == "last_action" for term in spec.observations)
         self._hidden_start = count * self._has_last + 2 * len(self._clocks)
         self.memory = self._hidden_start + sum(net.hidden)
-        parts = {part for term in spec.observations for part in PARTS[term.term]}
-        order = [part for parts_of in PARTS.values() for part in parts_of if part in parts]
+        parts = {part for term in spec.observations for part in OBSERVATION_PARTS[term.term]}
+        order = [part for parts_of in OBSERVATION_PARTS.values() for part in parts_of if part in parts]
         if self.memory:
             order.append("memory")
         self.task = self._task(tuple(order))
@@ -257,18 +258,18 @@ class PolicyMaker:
         if sorted(joints) != sorted(robot.motor_names):
             wrong = [joint for joint in joints if joint not in robot.motor_names] or joints
             raise SurefootError(
-                f"joints are {choices(wrong)}, which {robot.name} has not; it has {choices(robot.motor_names)}"
+                f"joints are {choices(wrong)}, which {robot.name} does not have; it has {choices(robot.motor_names)}"
             )
         return [robot.motor_names.index(joint) for joint in joints]
 
     @property
     def _signs(self) -> Array:
-        """Motor angle over joint angle (J,), 1 or -1."""
+        """Ratio of motor angle to joint angle (J,), 1 or -1."""
         own = np.array(self.specification.joint_signs or np.ones(len(self._motors)))
         return own * self.robot.motor_sign[self._motors]
 
     def per_motor(self, numbers: PerJoint) -> ParamValue:
-        """Return numbers of joints as those of motors."""
+        """Reorder one number per joint to one number per motor; a single number is returned as it is."""
         if not isinstance(numbers, tuple):
             return numbers
         values = np.empty(len(self._motors))
@@ -285,8 +286,8 @@ class PolicyMaker:
         if not np.isfinite(rest).all() or wrong.any():
             motor = int(np.argmax(wrong))
             raise SurefootError(
-                f"default_pose can't be one of {robot.name}: see {robot.motor_names[motor]}, {stand[motor]:g} rad; do "
-                "the knees bend the other way, or are order or signs of the joints others?"
+                f"{robot.name} can't reach default_pose: see {robot.motor_names[motor]}, {stand[motor]:g} rad; do the "
+                "knees bend the other way, or are the order or signs of the joints different?"
             )
         params: dict[str, Any] = {"control_step": spec.control_step}
         params |= {"servo_kp": self.per_motor(spec.kp), "servo_kd": self.per_motor(spec.kd)}
@@ -303,18 +304,18 @@ class PolicyMaker:
             memory=self.memory,
             rest=rest,
             fall_angle=spec.fall_angle,
-            max_steps=round(_EPISODE / spec.control_step),
+            max_steps=round(_EPISODE_DURATION / spec.control_step),
             commands=CommandConfig(**ranges),
             reward=_REWARD if follows else {"progress": 1.0},
             params=params,
         )
 
     def contract(self, name: str, source: Mapping[str, Any]) -> Contract:
-        """Return the policy's contract; its figures keep specification and notes, for whoever looks for mistakes."""
+        """Return the policy's contract; its metrics store specification and notes for the search for mistakes."""
         kept = to_mapping(self.specification)
         notes = kept.pop("notes")
         figures = {"adopted": {**source, "notes": notes, "specification": kept}}
-        return contract_from_task(self.task, self.robot, figures=figures, name=name)
+        return contract_from_task(self.task, self.robot, metrics=figures, name=name)
 
     def _find_rows(self) -> list[_Row]:
         """Return the rows of the network's observation, in its order."""
@@ -326,7 +327,7 @@ class PolicyMaker:
         return [row for age in steps for ages in terms.values() for row in ages[age]]
 
     def _term_rows(self, number: int, age: int) -> list[_Row]:
-        """Return the rows of a term of an age in control steps."""
+        """Return the rows of a term that is `age` control steps old."""
         term = self.specification.observations[number]
         start = age * len(self.observer.columns)
         rows = [
@@ -344,7 +345,7 @@ class PolicyMaker:
         return [_Row(*row, term.clip, float(factor), term.clip_after) for row, factor in zip(rows, scales, strict=True)]
 
     def _columns(self, term: ObservationTerm) -> list[tuple[dict[str, float], float]]:
-        """Return what each number of a term is made of: weights of columns, and an offset."""
+        """Return for each element of a term the weights of raw columns, and an offset."""
         spec, names = self.specification, self.robot.motor_names
         if term.term in VECTOR_COLUMNS:
             return [({column: 1.0}, 0.0) for column in VECTOR_COLUMNS[term.term]]
@@ -362,7 +363,7 @@ class PolicyMaker:
         for phase in term.phases:
             angle = 2 * np.pi * (phase + term.start)
             sin, cos = float(np.sin(angle)), float(np.cos(angle))
-            # cosine holds cos - 1.
+            # The column `cosine` contains cos - 1.
             rows += [({sine: cos, cosine: sin}, sin), ({sine: -sin, cosine: cos}, cos)]
         return rows
 
@@ -394,17 +395,17 @@ class PolicyMaker:
         return graph
 
     def _bounded(self, graph: Graph, value: Value, low: PerJoint, high: PerJoint) -> Value:
-        """Return a value within bounds, of all numbers or of each."""
+        """Clip a value to bounds, either common or per element."""
         ends = (graph.constant(np.broadcast_to(end, (1, value.width))) for end in (low, high))
         return Value(graph.apply("Min", graph.apply("Max", value.name, next(ends)), next(ends)), value.width)
 
     def _clipped(self, graph: Graph, value: Value, clips: list[Range | None]) -> Value:
-        """Return a value with those of its numbers clipped that have bounds."""
-        low, high = np.array([clip or (-LARGEST, LARGEST) for clip in clips]).T
+        """Clip those elements of a value that have bounds."""
+        low, high = np.array([clip or (-MAX_FLOAT, MAX_FLOAT) for clip in clips]).T
         return self._bounded(graph, value, tuple(low), tuple(high))
 
     def observation_map(self) -> tuple[Array, Array, Array]:
-        """Return weights (W, O), offsets (O,) and scales (O,): an observation is (raw @ weights + offsets) * scales."""
+        """Return weights (W, O), offsets (O,) and scales (O,): observation = (raw @ weights + offsets) * scales."""
         rows = self.rows
         weight = np.zeros((self.observer.width * self.task.history, len(rows)))
         for k, row in enumerate(rows):
@@ -413,7 +414,7 @@ class PolicyMaker:
         return weight, np.array([row.offset for row in rows]), np.array([row.scale for row in rows])
 
     def target_map(self) -> tuple[Array, Array, Array]:
-        """Return scales (J,) and offsets (J,) of actions, joint angles, and the motor angles of joints (J, M)."""
+        """Return scales (J,), offsets (J,) and a matrix (J, M): motor angles = (action * scales + offsets) @ matrix."""
         spec, count = self.specification, len(self.specification.joints)
         offset = np.array(spec.default_pose if spec.action_offset is None else spec.action_offset)
         to_motors = np.zeros((count, count))
@@ -421,7 +422,7 @@ class PolicyMaker:
         return np.broadcast_to(spec.action_scale, count), offset, to_motors
 
     def _observation(self, graph: Graph, raw: Value) -> Value:
-        """Return the network's observation of a raw one."""
+        """Add nodes that compute the network's observation from the raw observation."""
         rows, (weight, offset, scale) = self.rows, self.observation_map()
         if any(row.clip for row in rows):
             value = self._clipped(graph, graph.linear(raw.name, weight, offset), [row.clip for row in rows])
@@ -434,7 +435,7 @@ class PolicyMaker:
         return value if limit is None else Value(graph.clip(value.name, -limit, limit), value.width)
 
     def _next_clocks(self, graph: Graph, raw: Value) -> list[Value]:
-        """Return the clocks of the next control step."""
+        """Add nodes that compute the clocks of the next control step."""
         values = []
         for term in self._clocks:
             place = self._index["memory.0"] + self._clock_place(term)
@@ -443,7 +444,7 @@ class PolicyMaker:
             weight = np.zeros((raw.width, 2))
             weight[place : place + 2] = [[cos, -sin], [sin, cos]]
             turned = graph.linear(raw.name, weight, [sin, cos]).name
-            # A step of Newton's method for 1 / length: (3 - length^2) / 2.
+            # One Newton step for 1 / length: (3 - length^2) / 2.
             factor = graph.linear(graph.apply("Mul", turned, turned), np.full((2, 2), -0.5), [1.5, 1.5]).name
             unit = graph.apply("Mul", turned, factor)
             values.append(Value(graph.apply("Sub", unit, graph.constant([[0.0, 1.0]])), 2))

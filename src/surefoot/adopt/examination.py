@@ -1,8 +1,8 @@
-"""An adopted policy in simulation: does it stand and answer, as it is, with its specification changed, or the robot?
+"""Simulated test of an adopted policy: does it stand and follow commands, unchanged or with a change?
 
-All changes run side by side, each with a robot for each command. A correction is a linear map in front of the policy
-file and another one behind it: the raw observation for which the file's network gets what the corrected specification
-would give it.
+All changes are simulated in one batch, with one robot per command. A correction of the specification is applied to the
+existing policy file by a linear map before it and another after it: the raw observation is changed so that the file's
+network receives the input that the corrected specification would give it.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.adopt.builder import NetworkSizes, PolicyMaker, adopted_specification
+from surefoot.adopt.builder import NetworkSizes, PolicyBuilder, adopted_specification
 from surefoot.adopt.mistakes import Correction
-from surefoot.adopt.robot_guesses import RobotGuess
+from surefoot.adopt.robot_variants import RobotVariant
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.adopt.usual_numbers import unusual_numbers
 from surefoot.arrays import Array
@@ -32,13 +32,13 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.registry import find_world
 
-DURATION = 4.0
-"""Length of an episode [s]."""
-SETTLE = 0.4
-"""Share of an episode that is not measured."""
+EPISODE_DURATION = 4.0
+"""Duration of an episode [s]."""
+SETTLING_FRACTION = 0.4
+"""Fraction of an episode at its start that is not evaluated."""
 MAX_ERROR = np.array([0.5, 0.4, 0.8])
-"""Errors of speeds [m/s, m/s] and yaw rate [rad/s] that are worth nothing."""
-SHARES = {
+"""Errors of velocity [m/s, m/s] and yaw rate [rad/s] at which the score is 0."""
+COMMAND_FRACTIONS = {
     "stand": (0, 0, 0),
     "forward": (0.6, 0, 0),
     "backward": (-0.6, 0, 0),
@@ -48,97 +48,99 @@ SHARES = {
     "curve left": (0.5, 0, 0.75),
     "curve right": (0.5, 0, -0.75),
 }
-"""Commands of an examination, in shares of the policy's range."""
-GOOD = 0.4
-"""Score of a command that a robot answers."""
-UNUSUAL = 0.08
-"""What an unusual number of a specification takes from its score."""
+"""Commands of an examination, as fractions of the policy's command limits."""
+MIN_GOOD_SCORE = 0.4
+"""Minimum score of a command that a robot follows."""
+UNUSUAL_PENALTY = 0.08
+"""Penalty on the likelihood of a specification per unusual number."""
 _ROUNDING = 1e-9
-"""Size of a number that is 0."""
+"""Absolute value below which a number counts as 0."""
 
 
 @dataclass(frozen=True)
-class Answer:
-    """How robots with one specification answered commands: R rounds of C commands, by name."""
+class TrialResult:
+    """Result of one change in an examination: R robots for each of C commands."""
 
-    change: Correction | RobotGuess | None
-    """The change of the specification or of the robot; None: the policy as it is on the robot as it is."""
+    change: Correction | RobotVariant | None
+    """The change of the specification or of the robot; None: both are unchanged."""
     commands: tuple[str, ...]
+    """Names of the commands."""
     command: Array
-    """What was commanded (C, 3) [m/s, m/s, rad/s]."""
+    """Commands (C, 3) [m/s, m/s, rad/s]."""
     motion: Array
-    """Mean speeds forward and to the left and yaw rate (R, C, 3); NaN of a robot that fell early."""
-    stood: Array
-    """Time for which each robot stood, over that of its episode (R, C)."""
+    """Mean forward and leftward velocity and yaw rate (R, C, 3); NaN if the robot fell early."""
+    upright_fraction: Array
+    """Fraction of the episode before the robot fell (R, C); 1: it did not fall."""
     unusual: int = 0
-    """How many of the specification's numbers are unusual, of those that `usual_numbers.unusual_numbers` names."""
+    """Number of unusual numbers in the specification; see `usual_numbers.unusual_numbers`."""
 
     @property
     def correction(self) -> Correction | None:
-        """The change, if it is one of the specification."""
+        """The change, if it is a change of the specification."""
         return self.change if isinstance(self.change, Correction) else None
 
     @property
     def text(self) -> str:
-        """The change in words."""
+        """Description of the change."""
         return "as it is" if self.change is None else self.change.text
 
     @property
     def velocity(self) -> Array:
-        """Mean speeds forward and to the left and yaw rate (C, 3); NaN, if a robot fell early."""
+        """Mean forward and leftward velocity and yaw rate over robots (C, 3); NaN if one fell early."""
         return np.asarray(self.motion.mean(axis=0))
 
     @property
     def fell(self) -> NDArray[np.bool_]:
-        """Commands (C,) at which a robot fell."""
-        return np.asarray(self.stood.min(axis=0) < 1.0 - 1e-6)
+        """Whether a robot fell, for each command (C,)."""
+        return np.asarray(self.upright_fraction.min(axis=0) < 1.0 - 1e-6)
 
     @property
     def scores(self) -> Array:
-        """Mean score of each command (C,): 0 of a robot that fell, 1 of one that follows it exactly."""
+        """Score of each command (C,), averaged over robots: 0 if the robot fell, 1 if it followed exactly."""
         error = np.linalg.norm((self.motion - self.command) / MAX_ERROR, axis=-1)
-        scores = np.where(self.stood >= 1.0 - 1e-6, np.maximum(0.0, 1.0 - np.nan_to_num(error, nan=9.0)), 0.0)
+        upright = self.upright_fraction >= 1.0 - 1e-6
+        scores = np.where(upright, np.maximum(0.0, 1.0 - np.nan_to_num(error, nan=9.0)), 0.0)
         return np.asarray(scores.mean(axis=0))
 
     @property
     def score(self) -> float:
-        """Mean score."""
+        """Mean score over commands."""
         return float(self.scores.mean())
 
     @property
     def likelihood(self) -> float:
-        """The score, less a penalty for each unusual number."""
-        return self.score - UNUSUAL * self.unusual
+        """The score minus a penalty for each unusual number."""
+        return self.score - UNUSUAL_PENALTY * self.unusual
 
 
-def stated_specification(contract: Contract) -> PolicySpecification:
-    """Return the specification that an adopted policy was made of.
+def require_specification(contract: Contract) -> PolicySpecification:
+    """Return the specification that an adopted policy was built from.
 
     Raises:
-        SurefootError: a policy that was not adopted.
+        SurefootError: the policy was not adopted.
     """
     specification = adopted_specification(contract)
     if specification is None:
         raise SurefootError(
-            f"policy '{contract.name}' was not adopted; only of an adopted one the specification is known"
+            f"policy '{contract.name}' was not adopted; the specification is known only of adopted policies"
         )
     return specification
 
 
-class Corrected:
-    """A policy file as if it had been made of other specifications: of rows of robots, one after another.
+class CorrectedPolicy:
+    """A policy file that behaves as if it had been built from other specifications, one per group of robots.
 
     Args:
-        policy: the file.
-        robot: that it is for.
-        specifications: as many as there are groups of robots.
+        policy: the policy file.
+        robot: robot that it is for.
+        specifications: one for each group; groups have equal sizes and consecutive rows.
     """
 
     def __init__(
         self, policy: PolicyRuntime, robot: RobotDescription, specifications: Sequence[PolicySpecification]
     ) -> None:
         self._policy, contract = policy, policy.contract
-        own = self._maker(stated_specification(contract), robot, contract)
+        own = self._maker(require_specification(contract), robot, contract)
         self._motors = len(contract.motor_names)
         self._joints = len(own.specification.joints)
         self._has_last = any(term.term == "last_action" for term in own.specification.observations)
@@ -152,7 +154,7 @@ class Corrected:
         self._maps: list[tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]] = []
         for maker in self.makers:
             other, shift, factor = maker.observation_map()
-            # What the correction adds to a raw observation; columns that the network does not observe stay as they are.
+            # Change of the raw observation; columns that the network does not observe stay unchanged.
             change = inverse @ ((other * factor).T - matrix)
             more = inverse @ (shift * factor - offset * scale)
             change[np.abs(change) < _ROUNDING], more[np.abs(more) < _ROUNDING] = 0.0, 0.0
@@ -160,18 +162,15 @@ class Corrected:
             self._maps.append((rows, columns, change[np.ix_(rows, columns)].T, more[rows]))
 
     @staticmethod
-    def _maker(specification: PolicySpecification, robot: RobotDescription, contract: Contract) -> PolicyMaker:
+    def _maker(specification: PolicySpecification, robot: RobotDescription, contract: Contract) -> PolicyBuilder:
         joints = len(specification.joints)
-        kept = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
-        kept -= joints * any(term.term == "last_action" for term in specification.observations)
-        kept -= 2 * sum(term.term == "clock" for term in specification.observations)
-        return PolicyMaker(specification, NetworkSizes(None, joints, (kept,) if kept else ()), robot)
+        hidden = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
+        hidden -= joints * any(term.term == "last_action" for term in specification.observations)
+        hidden -= 2 * sum(term.term == "clock" for term in specification.observations)
+        return PolicyBuilder(specification, NetworkSizes(None, joints, (hidden,) if hidden else ()), robot)
 
     def feedback(self, observation: ArrayLike, going: NDArray[np.bool_] | None = None) -> Array:
-        """Return the feedback (N, A) for observations (N, O * history); each group has as many rows.
-
-        Rows that are not `going` (N,) get 0.
-        """
+        """Return the feedback (N, A) for observations (N, O * history); rows that are not `going` (N,) get 0."""
         inputs = np.array(observation, np.float64)
         size = len(inputs) // len(self._maps)
         rows = np.arange(len(inputs)) if going is None else np.flatnonzero(going)
@@ -197,34 +196,37 @@ def examine(
     policy: PolicyRuntime,
     robot: RobotDescription,
     task: TaskConfig,
-    tried: Sequence[Correction | RobotGuess | None],
+    tried: Sequence[Correction | RobotVariant | None],
     world: str = "mujoco",
     seed: int = 0,
     threads: int = 1,
     progress: Progress | None = None,
     duration: float | None = None,
     repeats: int = 1,
-    chosen: Sequence[str] = tuple(SHARES),
-) -> list[Answer]:
-    """Return how robots answer commands with the policy as it is (None), with corrections, and with other robots.
+    chosen: Sequence[str] = tuple(COMMAND_FRACTIONS),
+) -> list[TrialResult]:
+    """Simulate commands with several changes of an adopted policy's specification or robot in one batch.
 
     Args:
         policy: an adopted policy.
-        robot: that it is for.
+        robot: robot that it is for.
         task: its task.
-        tried: what is tried, side by side.
+        tried: the changes; None: the unchanged policy.
         world: name of the world.
-        seed: of noise and starts.
-        threads: of the simulation; 0: one a core.
-        progress: called with the share that is done.
-        duration: of an episode [s]; `DURATION`, if not given.
-        repeats: robots for each command.
-        chosen: names of the commands.
+        seed: seed of noise and initial states.
+        threads: number of simulation threads; 0: one per core.
+        progress: called with the completed fraction.
+        duration: duration of an episode [s]; defaults to `EPISODE_DURATION`.
+        repeats: number of robots per command.
+        chosen: names of the commands, keys of `COMMAND_FRACTIONS`.
+
+    Returns:
+        One result per change.
     """
-    duration = DURATION if duration is None else duration
-    stated = stated_specification(policy.contract)
+    duration = EPISODE_DURATION if duration is None else duration
+    stated = require_specification(policy.contract)
     specifications = [one.specification if isinstance(one, Correction) else stated for one in tried]
-    corrected = Corrected(policy, robot, specifications)
+    corrected = CorrectedPolicy(policy, robot, specifications)
     limits = policy.contract.commands
     names, asked = _commands(limits, chosen)
     size = repeats * len(names)
@@ -240,7 +242,7 @@ def examine(
     steps = np.repeat([one.control_step for one in specifications], size)
     params = nominal.with_values(robot, control_step=steps, **changed)
     for k, one in enumerate(tried):
-        if isinstance(one, RobotGuess):
+        if isinstance(one, RobotVariant):
             rows = np.arange(k * size, (k + 1) * size)
             own = params.rows(rows)
             params.set_rows(rows, own.with_values(robot, **one.params(own)))
@@ -252,24 +254,24 @@ def examine(
         return env.gait.action(corrected.feedback(observation, ~env.state.over))
 
     def record(start: Array, seen: NDArray[np.float32]) -> None:
-        counted = (start >= SETTLE * duration) & (env.state.readings.time > start)
-        sums[counted] += (env.state.planar_velocity * steps[:, None])[counted]
-        times[counted] += steps[counted]
+        evaluated = (start >= SETTLING_FRACTION * duration) & (env.state.readings.time > start)
+        sums[evaluated] += (env.state.planar_velocity * steps[:, None])[evaluated]
+        times[evaluated] += steps[evaluated]
 
     limit = np.round(duration / steps).astype(np.int64)
     runs = run_to_end(act, env, observation, limit, progress, record)
     with np.errstate(invalid="ignore", divide="ignore"):
         motion = (sums / times[:, None]).reshape(len(tried), repeats, -1, 3)
-    stood = np.where(runs.balanced, 1.0, runs.steps.to_numpy() / limit).reshape(len(tried), repeats, -1)
+    upright_fraction = np.where(runs.balanced, 1.0, runs.steps.to_numpy() / limit).reshape(len(tried), repeats, -1)
     return [
-        Answer(one, names, asked, motion[k], stood[k], len(unusual_numbers(specifications[k], robot)))
+        TrialResult(one, names, asked, motion[k], upright_fraction[k], len(unusual_numbers(specifications[k], robot)))
         for k, one in enumerate(tried)
     ]
 
 
-def run_task(task: TaskConfig, maker: PolicyMaker, answer: Answer) -> TaskConfig:
-    """Return the task of a run in which one robot with a specification is given all commands, one after another."""
-    each = DURATION / 2
+def run_task(task: TaskConfig, maker: PolicyBuilder, answer: TrialResult) -> TaskConfig:
+    """Return the task of an episode in which one robot receives all commands of a trial one after another."""
+    each = EPISODE_DURATION / 2
     rows = [(each * k, *row) for k, row in enumerate(answer.command.tolist())]
     step = maker.specification.control_step
     params = {"control_step": step, "servo_kp": maker.per_motor(maker.specification.kp)}
@@ -284,20 +286,20 @@ def run_task(task: TaskConfig, maker: PolicyMaker, answer: Answer) -> TaskConfig
     )
 
 
-def _per_motor(maker: PolicyMaker, field: str) -> Array:
-    """Return gains of all motors (M,)."""
+def _per_motor(maker: PolicyBuilder, field: str) -> Array:
+    """Return a gain of the specification for each motor (M,)."""
     values: Any = maker.per_motor(getattr(maker.specification, field))
     return np.broadcast_to(np.asarray(values, float), maker.robot.num_motors)
 
 
 def _commands(limits: CommandLimits | None, chosen: Sequence[str]) -> tuple[tuple[str, ...], Array]:
-    """Return those of the chosen commands that a policy follows, by name; standing alone, if it follows none."""
+    """Return names and values of the chosen commands that the policy supports; only "stand" if it has no commands."""
     if limits is None:
         return ("stand",), np.zeros((1, 3))
     rows = {}
     for name in chosen:
-        shares = np.array(SHARES[name], float)
-        row = np.where(shares >= 0, shares * limits.high, -shares * limits.low)
+        fractions = np.array(COMMAND_FRACTIONS[name], float)
+        row = np.where(fractions >= 0, fractions * limits.high, -fractions * limits.low)
         if name == "stand" or np.abs(row).max() > 0:
             rows[name] = row
     return tuple(rows), np.array(list(rows.values()))

@@ -1,8 +1,8 @@
-"""A policy as the files that other deployers read: for policies whose actions are motor angles.
+"""Export of policies whose actions are motor angles to the formats of other deployment frameworks.
 
-The deployer's observation is unscaled; nodes in front of the policy's graph make the raw observation of the contract
-out of it, and nodes behind it the deployer's action. Both are written so that the deployer's own arithmetic gives the
-same motor angles as surefoot's, up to the limits of the joints, which the deployer does not know.
+The framework's observation is unscaled. Nodes before the policy's graph convert it to the raw observation of the
+contract, and nodes after it convert the output to the framework's action. The framework then computes the same motor
+angles as surefoot, except that it does not clip them to the joint limits.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import yaml
 from onnx import helper
 
 from surefoot import __version__
-from surefoot.adopt.builder import PARTS, VECTOR_COLUMNS, NetworkSizes, PolicyMaker, adopted_specification
+from surefoot.adopt.builder import OBSERVATION_PARTS, VECTOR_COLUMNS, NetworkSizes, PolicyBuilder, adopted_specification
 from surefoot.adopt.formats import isaac_lab, rl_sar
-from surefoot.adopt.formats.reading import first_names
+from surefoot.adopt.formats.common import first_names
 from surefoot.adopt.onnx_network import run_model
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.arrays import Array
@@ -38,13 +38,13 @@ _SAMPLES = 64
 
 
 class _Exported(NamedTuple):
-    """A policy in a deployer's terms."""
+    """A policy converted to a deployment framework's conventions."""
 
     graph: Graph
     observation: Value
     action: Value
     terms: tuple[str, ...]
-    """What is observed, in order."""
+    """Observation terms, in order."""
     history: int
     joints: tuple[str, ...]
     default_pose: Array
@@ -56,18 +56,18 @@ class _Exported(NamedTuple):
 
 
 def export_rl_sar(policy: PolicyRuntime, data: bytes, robot: RobotDescription, folder: Path) -> list[Path]:
-    """Write `policy.onnx` and `config.yaml` of rl_sar, and `base.yaml` of the robot; return them.
+    """Write `policy.onnx` and `config.yaml` for rl_sar, and the robot's `base.yaml`; return their paths.
 
     Raises:
-        SurefootError: a policy whose actions are no motor angles, or one that keeps or observes what rl_sar has not.
+        SurefootError: the policy's actions are not motor angles, or rl_sar does not support its memory or observations.
     """
     made = _translate(policy, data, robot, by_term=False)
     names = first_names(rl_sar.TERMS)
     count, decimation = robot.num_motors, max(round(made.control_step / _PHYSICS_STEP), 1)
     torque = np.broadcast_to(getattr(robot.actuator, "torque_limit", 0.0), count).astype(float)
-    # The gains of standing up are the data sheet's: a policy's are often too soft for it.
+    # The robot stands up with the data sheet's gains, because a policy's gains are often too soft for it.
     fixed = {f"fixed_{name}": [float(getattr(robot.actuator, name))] * count for name in ("kp", "kd")}
-    # The deployer's motors are in the order of the hardware.
+    # In rl_sar, motors are in the order of the hardware.
     base: dict[str, object] = {
         "dt": made.control_step / decimation,
         "decimation": decimation,
@@ -116,10 +116,10 @@ def export_rl_sar(policy: PolicyRuntime, data: bytes, robot: RobotDescription, f
 
 
 def export_mjlab(policy: PolicyRuntime, data: bytes, robot: RobotDescription, folder: Path) -> list[Path]:
-    """Write `policy.onnx` with the properties that mjlab's exporter writes; return it.
+    """Write `policy.onnx` with the properties that mjlab's exporter writes; return its path.
 
     Raises:
-        SurefootError: as `export_rl_sar`.
+        SurefootError: see `export_rl_sar`.
     """
     made = _translate(policy, data, robot, by_term=True)
     names = first_names(isaac_lab.TERMS)
@@ -149,11 +149,11 @@ EXPORTERS: dict[str, Callable[[PolicyRuntime, bytes, RobotDescription, Path], li
     "rl_sar": export_rl_sar,
     "mjlab": export_mjlab,
 }
-"""Formats of other deployers."""
+"""Exporters by the name of the deployment framework."""
 
 
 def _model(made: _Exported, properties: dict[str, str]) -> bytes:
-    """Return the network for one robot, with properties."""
+    """Serialize the network for a batch of one robot, with metadata properties."""
     model = made.graph.to_onnx([made.observation], [made.action], "policy", __version__)
     for end in (*model.graph.input, *model.graph.output):
         end.type.tensor_type.shape.dim[0].dim_value = 1
@@ -163,25 +163,25 @@ def _model(made: _Exported, properties: dict[str, str]) -> bytes:
 
 
 def _translate(policy: PolicyRuntime, data: bytes, robot: RobotDescription, by_term: bool) -> _Exported:
-    """Return a policy in a deployer's terms.
+    """Convert a policy to a deployment framework's conventions.
 
     Args:
         policy: the policy.
         data: its file.
-        robot: that it is for.
-        by_term: histories are flattened term after term, the oldest first; else step after step, the newest first.
+        robot: robot that it is for.
+        by_term: whether histories are flattened term by term, oldest first; otherwise step by step, newest first.
     """
     contract = policy.contract
     if not contract.action_names[0].startswith("angle."):
-        what = "a reference gait adds to its actions" if contract.reference else "its actions are no motor angles"
-        raise SurefootError(f"policy '{contract.name}' can't be exported: {what}; others take joint angles alone")
+        what = "a reference gait adds to its actions" if contract.reference else "its actions are not motor angles"
+        raise SurefootError(f"policy '{contract.name}' can't be exported: {what}; other formats take only joint angles")
     kept = [name for name in contract.action_names if name.startswith(f"{MEMORY}.")]
     spec = adopted_specification(policy.contract)
     count = robot.num_motors
     if len(kept) not in (0, count) or (kept and spec is None):
         raise SurefootError(
-            f"policy '{contract.name}' can't be exported: it keeps {len(kept)} numbers, clocks or hidden states, which "
-            "the format has no place for"
+            f"policy '{contract.name}' can't be exported: it has {len(kept)} numbers of memory, such as clocks or "
+            "hidden states, which the format does not support"
         )
     joints, scale, offset, to_motors = _actions(policy, robot, spec)
     if spec is not None and spec.target_clip is not None:
@@ -226,25 +226,25 @@ def _translate(policy: PolicyRuntime, data: bytes, robot: RobotDescription, by_t
 def _actions(
     policy: PolicyRuntime, robot: RobotDescription, spec: PolicySpecification | None
 ) -> tuple[tuple[str, ...], Array, Array, Array]:
-    """Return joints, scale and offset of the deployer's actions, and the motor angles of joint angles (J, M)."""
+    """Return joints, scale and offset of the exported actions, and the matrix (J, M) from joint to motor angles."""
     if spec is None:
         to_motors = np.diag(robot.motor_sign)
         stand = robot.pose_angles(*policy.contract.rest)
         return robot.motor_names, np.ones(robot.num_motors), stand * robot.motor_sign, to_motors
-    maker = PolicyMaker(spec, NetworkSizes(None, len(spec.joints)), robot)
+    maker = PolicyBuilder(spec, NetworkSizes(None, len(spec.joints)), robot)
     scale, offset, to_motors = maker.target_map()
     if spec.joint_signs is not None and min(spec.joint_signs) < 0:
         raise SurefootError(
-            f"policy '{policy.contract.name}' can't be exported: its joints turn the other way, for which the format "
-            "has no place"
+            f"policy '{policy.contract.name}' can't be exported: some joints have the opposite sign, which the format "
+            "does not support"
         )
     return spec.joints, np.array(scale, float), np.array(offset, float), to_motors
 
 
 def _terms(policy: PolicyRuntime) -> tuple[str, ...]:
-    """Return the terms that a deployer must observe, in order."""
+    """Return the observation terms of the exported policy, in order."""
     term_of_part = {
-        **{part: term for term, parts in PARTS.items() for part in parts},
+        **{part: term for term, parts in OBSERVATION_PARTS.items() for part in parts},
         **dict.fromkeys(("roll", "pitch"), "gravity"),
         **dict.fromkeys(("last_action", "memory"), "last_action"),
     }
@@ -259,7 +259,7 @@ def _terms(policy: PolicyRuntime) -> tuple[str, ...]:
 
 
 class _Place(NamedTuple):
-    """Where the numbers of each term of an age stand in the deployer's observation."""
+    """Column indices of each term in the exported observation, for one time step of the history."""
 
     observation: Value
     columns: dict[str, range]
@@ -288,7 +288,7 @@ def _raw(
     scale: Array,
     offset: Array,
 ) -> Value:
-    """Add the raw observation of one control step, in the contract's order."""
+    """Add nodes that compute the raw observation of one time step, in the contract's order."""
     columns = list(policy.contract.columns)
     weight, shift = np.zeros((place.observation.width, len(columns))), np.zeros(len(columns))
     for term, numbers in place.columns.items():
@@ -315,7 +315,7 @@ def _raw(
 
 
 def _add_tilt(graph: Graph, value: Value, place: _Place, name: str, column: int) -> Value:
-    """Return a raw observation with roll = atan(g_y / g_z) or pitch = asin(g_x) in a column that was 0."""
+    """Add roll = atan(g_y / g_z) or pitch = asin(g_x) to a zero column of the raw observation."""
     x, y, z = (graph.select(place.observation, [place.columns["gravity"][k]]).name for k in range(3))
     if name == "pitch":
         angle = graph.apply("Asin", graph.clip(x, -1.0, 1.0))
@@ -326,7 +326,11 @@ def _add_tilt(graph: Graph, value: Value, place: _Place, name: str, column: int)
 
 
 def _compare(policy: PolicyRuntime, made: _Exported, robot: RobotDescription, to_motors: Array, by_term: bool) -> None:
-    """Refuse a network with which the deployer's arithmetic gives other angles than the policy."""
+    """Verify on random observations that the framework's arithmetic gives the same angles as the policy.
+
+    Raises:
+        SurefootError: the angles differ.
+    """
     contract, random = policy.contract, np.random.default_rng(0)
     columns, count = list(contract.columns), robot.num_motors
     index = [robot.motor_names.index(joint) for joint in made.joints]

@@ -1,4 +1,4 @@
-"""The usual mistakes in what is known of a policy, each as a change that would correct it."""
+"""Usual mistakes in the specification of a policy, each represented by the change that would correct it."""
 
 from __future__ import annotations
 
@@ -16,40 +16,41 @@ from surefoot.adopt.usual_numbers import VECTORS
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
-_FACTORS = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0, math.pi / 180, 180 / math.pi)
-"""Usual scales, and what may have been forgotten or applied twice: .05, .25, .5, 2 and degrees."""
-_RATIOS = (0.25, 0.5, 2.0, 4.0)
+_SCALE_FACTORS = (0.05, 0.25, 0.5, 2.0, 4.0, 20.0, math.pi / 180, 180 / math.pi)
+"""Factors by which scales are often wrong, because a usual scale (0.05, 0.25, 0.5, 2, degrees) was omitted or applied
+twice."""
+_GAIN_FACTORS = (0.25, 0.5, 2.0, 4.0)
 _GRAVITY = 9.81
-"""Length of gravity in m/s^2, where the unit vector belongs."""
+"""Gravity in m/s^2, which is sometimes observed instead of the unit vector."""
 
 
 class Correction(NamedTuple):
-    """A change of a specification."""
+    """A change of a specification that corrects a possible mistake."""
 
     field: str
-    """What it changes."""
+    """Name of the changed field."""
     text: str
-    """The mistake, in words."""
+    """Description of the mistake."""
     specification: PolicySpecification
-    """With the change."""
+    """The corrected specification."""
 
 
 def corrections(specification: PolicySpecification, robot: RobotDescription) -> list[Correction]:
-    """Return the specification with each of the usual mistakes corrected that fits the robot, none twice."""
-    found: dict[str, Correction] = {}
-    for part in _PARTS:
-        for correction in part(specification, robot):
+    """Return corrections of all usual mistakes that are compatible with the robot, without duplicates."""
+    unique: dict[str, Correction] = {}
+    for generate in _CORRECTION_KINDS:
+        for correction in generate(specification, robot):
             changed = correction.specification
             if changed == specification:
                 continue
-            # What is observed of the same joints fits the robot in any case.
-            if replace(changed, observations=specification.observations) == specification or fits(changed, robot):
-                found.setdefault(repr(changed), correction)
-    return list(found.values())
+            # A change of only the observations is always compatible with the robot.
+            if replace(changed, observations=specification.observations) == specification or fits_robot(changed, robot):
+                unique.setdefault(repr(changed), correction)
+    return list(unique.values())
 
 
-def fits(specification: PolicySpecification, robot: RobotDescription) -> bool:
-    """Return whether the robot can have a specification."""
+def fits_robot(specification: PolicySpecification, robot: RobotDescription) -> bool:
+    """Return whether a specification is compatible with the robot."""
     try:
         check_specification(specification, robot)
     except SurefootError:
@@ -58,7 +59,7 @@ def fits(specification: PolicySpecification, robot: RobotDescription) -> bool:
 
 
 def joint_orders(robot: RobotDescription) -> dict[str, tuple[str, ...]]:
-    """Return the usual orders of joints by name: legs in all orders that are in use, leg by leg or joint by joint."""
+    """Return the usual joint orders by name: all usual orders of legs, each leg by leg and joint by joint."""
     sides = {}
     for leg in robot.legs:
         front = "F" if "front" in leg.name else "R" if "back" in leg.name else ""
@@ -87,7 +88,7 @@ def joint_orders(robot: RobotDescription) -> dict[str, tuple[str, ...]]:
 
 
 def _orders(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
-    """Yield other orders of joints: of the names alone, and of all that is stated for each joint."""
+    """Yield other joint orders, first applied only to the names, then to all per-joint numbers."""
     for name, order in joint_orders(robot).items():
         text = f"order of joints: it should be {name}"
         yield Correction("joints", text, replace(spec, joints=order))
@@ -97,7 +98,7 @@ def _orders(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
 
 
 def _reordered(spec: PolicySpecification, order: tuple[str, ...], places: Sequence[int]) -> PolicySpecification:
-    """Return a specification in another order of joints, whose numbers stay with the joints' names."""
+    """Reorder the joints of a specification together with all per-joint numbers."""
 
     def moved(value: Any) -> Any:
         return tuple(value[place] for place in places) if isinstance(value, tuple) else value
@@ -114,13 +115,13 @@ def _signs(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corre
         for keep in (False, True):
             flip = np.where(chosen, -1.0, 1.0)
             change: dict[str, Any] = {"joint_signs": tuple((own * flip).tolist())}
-            if keep:  # the pose is in the signs of the URDF already
+            if keep:  # assume that the pose already has the signs of the URDF
                 change["default_pose"] = tuple((flip * spec.default_pose).tolist())
             yield Correction("joint_signs", f"sign of {group}: it should be the other one", replace(spec, **change))
 
 
 def _joint_groups(spec: PolicySpecification, robot: RobotDescription, sides: bool) -> dict[str, list[bool]]:
-    """Return which joints of the specification are abductions, hips and knees; on request also those of one side."""
+    """Return masks over the specification's joints by group: all abductions, hips and knees, optionally per side."""
     groups: dict[str, list[bool]] = {}
     for leg in robot.legs:
         names = ("hip", "knee") if len(leg.motors) == 2 else ("abduction", "hip", "knee")
@@ -138,7 +139,7 @@ def _with_term(spec: PolicySpecification, place: int, term: ObservationTerm) -> 
 
 
 def _scaled(term: ObservationTerm, factor: float, columns: Sequence[int] = (0, 1, 2)) -> ObservationTerm:
-    """Return a term with some of its numbers scaled by a factor."""
+    """Multiply the scale of a term, or of some components of a vector, by a factor."""
     width = len(term.scale) if isinstance(term.scale, tuple) else 3 if term.term in VECTORS else 0
     if not width:
         return replace(term, scale=float(np.asarray(term.scale)) * factor)
@@ -154,12 +155,13 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
             yield from _gravity_scales(spec, place, term)
             continue
         what = term.term.replace("_", " ")
-        for factor in _FACTORS:
-            text = f"scale of {what}: it should be {_numbers(_times(term.scale, factor))}, {factor:.3g} times as large"
+        for factor in _SCALE_FACTORS:
+            text = f"scale of {what}: it should be {_format(_multiply(term.scale, factor))}, "
+            text += f"{factor:.3g} times as large"
             scaled = _scaled(term, factor)
             yield Correction("observations", text, _with_term(spec, place, scaled))
         if term.term == "command":
-            for factor in _FACTORS[1:5]:
+            for factor in _SCALE_FACTORS[1:5]:
                 for part, chosen in (("speeds", (0, 1)), ("yaw rate", (2,))):
                     text = f"scale of command's {part}: it should be {factor:g} times as large"
                     scaled = _scaled(term, factor, chosen)
@@ -176,34 +178,34 @@ def _scales(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Corr
 
 
 def _gravity_scales(spec: PolicySpecification, place: int, term: ObservationTerm) -> Iterator[Correction]:
-    """Yield scales of gravity of another length, with the same sign and with the other one."""
+    """Yield scales of gravity with another magnitude, with the same and the opposite sign."""
     length = float(np.abs(term.scale).max())
     unit = math.isclose(length, 1.0)
     targets = (_GRAVITY, 1 / _GRAVITY) if unit else (1.0,) if length else ()
     for target in targets:
         for sign in (1.0, -1.0):
             scaled = _scaled(term, sign * target / length)
-            now = "" if unit else f" (now {_numbers(term.scale)}{': m/s2' if _is_earths(length) else ''})"
-            text = f"scale of gravity: it should be {_numbers(scaled.scale)}{now}"
+            now = "" if unit else f" (now {_format(term.scale)}{': m/s2' if _is_standard_gravity(length) else ''})"
+            text = f"scale of gravity: it should be {_format(scaled.scale)}{now}"
             yield Correction("observations", text, _with_term(spec, place, scaled))
 
 
-def _is_earths(length: float) -> bool:
+def _is_standard_gravity(length: float) -> bool:
     return bool(np.isclose(length, _GRAVITY, rtol=0.01))
 
 
-def _numbers(value: float | Sequence[float]) -> str:
-    """Return a number, or the different ones of a sequence, as text."""
+def _format(value: float | Sequence[float]) -> str:
+    """Format a number, or the distinct numbers of a sequence."""
     return " and ".join(f"{number:.3g}" for number in np.unique(value))
 
 
-def _times(value: Any, factor: float) -> Any:
-    """Return a number, or a tuple of numbers, multiplied."""
+def _multiply(value: Any, factor: float) -> Any:
+    """Multiply a number, or each number of a tuple, by a factor."""
     return tuple(factor * x for x in value) if isinstance(value, tuple) else factor * value
 
 
 def _frames(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
-    """Yield other signs, orders and places of the vectors."""
+    """Yield other signs and component orders of vectors, and other orders of observation terms."""
     for place, term in enumerate(spec.observations):
         what = term.term.replace("_", " ")
         if term.term not in VECTORS:
@@ -272,36 +274,36 @@ def _histories(spec: PolicySpecification, robot: RobotDescription) -> Iterator[C
 
 
 def _actions(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
-    for factor in _RATIOS:
-        scale = _times(spec.action_scale, factor)
-        text = f"scale of actions: it should be {_numbers(scale)}, {factor:g} times as large"
+    for factor in _GAIN_FACTORS:
+        scale = _multiply(spec.action_scale, factor)
+        text = f"scale of actions: it should be {_format(scale)}, {factor:g} times as large"
         yield Correction("action_scale", text, replace(spec, action_scale=scale))
     own = np.broadcast_to(spec.action_scale, len(spec.joints))
     for group, chosen in _joint_groups(spec, robot, sides=False).items():
-        for factor in _RATIOS:
+        for factor in _GAIN_FACTORS:
             scales = np.where(chosen, factor, 1.0) * own
-            text = f"scale of actions ({group}): it should be {_numbers(scales[chosen])}, {factor:g} times as large"
+            text = f"scale of actions ({group}): it should be {_format(scales[chosen])}, {factor:g} times as large"
             yield Correction("action_scale", text, replace(spec, action_scale=tuple(scales.tolist())))
-    negated = replace(spec, action_scale=_times(spec.action_scale, -1.0))
+    negated = replace(spec, action_scale=_multiply(spec.action_scale, -1.0))
     yield Correction("action_scale", "sign of actions: it should be the other one", negated)
 
 
 def _timing(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:
     for name, what, unit in (("kp", "proportional gains", "N m/rad"), ("kd", "derivative gains", "N m s/rad")):
-        for factor in _RATIOS:
-            value = _times(getattr(spec, name), factor)
-            text = f"{what}: they should be {_numbers(value)} {unit}, {factor:g} times as large"
+        for factor in _GAIN_FACTORS:
+            value = _multiply(getattr(spec, name), factor)
+            text = f"{what}: they should be {_format(value)} {unit}, {factor:g} times as large"
             yield Correction(name, text, replace(spec, **{name: value}))
-    for factor in _RATIOS:
-        kp, kd = _times(spec.kp, factor), _times(spec.kd, factor)
-        text = f"gains: kp should be {_numbers(kp)} and kd {_numbers(kd)}, {factor:g} times as large"
+    for factor in _GAIN_FACTORS:
+        kp, kd = _multiply(spec.kp, factor), _multiply(spec.kd, factor)
+        text = f"gains: kp should be {_format(kp)} and kd {_format(kd)}, {factor:g} times as large"
         yield Correction("kp", text, replace(spec, kp=kp, kd=kd))
-    for factor in _RATIOS:
+    for factor in _GAIN_FACTORS:
         step = spec.control_step * factor
         if 0.004 <= step <= 0.05:
             text = f"control step: it should be {1e3 * step:g} ms"
             yield Correction("control_step", text, replace(spec, control_step=step))
 
 
-_PARTS = (_orders, _signs, _scales, _frames, _histories, _actions, _timing)
-"""What the mistakes are about."""
+_CORRECTION_KINDS = (_orders, _signs, _scales, _frames, _histories, _actions, _timing)
+"""Generators of corrections, one per kind of mistake."""

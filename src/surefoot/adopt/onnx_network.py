@@ -1,8 +1,8 @@
-"""A network of an ONNX file of others, rewritten into the few operators that a policy file may have.
+"""Translation of third-party ONNX networks into the few operators that a policy file may have.
 
-The file is read as data. Its nodes are translated one by one; an operator that is not in the table is refused. Rows
-are robots: every value has the shape (N, width), whatever axes of length 1 the exporter put around it. At last the
-translation is compared with the file itself, which onnxruntime runs only after all of its nodes were understood.
+The file is read as data. Its nodes are translated one by one; unknown operators are rejected. Rows are robots: every
+value has the shape (N, width), without the axes of length 1 that exporters add. Finally the translation is compared
+with the file itself, which onnxruntime runs only after all nodes were translated.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import onnx
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from surefoot.adopt.onnx_weights import tensors
+from surefoot.adopt.onnx_weights import constant_tensors
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices, quote
 from surefoot.native_output import stdout_to_stderr
@@ -25,23 +25,23 @@ from surefoot.policy.network import MAX_BYTES
 
 MAX_NODES = 2000
 MAX_NUMBERS = 8_000_000
-"""Numbers of all constants together."""
+"""Maximum number of elements in all constants together."""
 MAX_WIDTH = 16384
-_ROWS = 16
-"""Observations that the translation is compared on."""
+_NUM_SAMPLES = 16
+"""Number of random observations on which the translation is compared."""
 _TOLERANCE = 1e-4
 Item = Value | NDArray[Any]
 """A value, or a constant."""
 
 
 class OnnxNetwork:
-    """A network of an ONNX file; see `ForeignNetwork`.
+    """Network of an ONNX file; implements `ForeignNetwork`.
 
-    The first input is the observation, further ones are hidden states, each with an output in the same order after the
-    action.
+    The first input is the observation, further inputs are hidden states. The first output is the action, followed by
+    the next hidden states in the same order.
 
     Raises:
-        SurefootError: a file that is no ONNX, or has an operator, a size or an input that is not understood.
+        SurefootError: the file is not ONNX, or has an unsupported operator, size or input.
     """
 
     def __init__(self, data: bytes) -> None:
@@ -72,7 +72,7 @@ class OnnxNetwork:
         return [Value(f"hidden_{k}", width) for k, width in enumerate(self.hidden)]
 
     def add(self, graph: Graph, observation: Value, hidden: list[Value]) -> tuple[Value, list[Value]]:
-        """Add its nodes to a graph; return the action and the next hidden states."""
+        """Add the translated nodes to a graph; return the action and the next hidden states."""
         source = self.model.graph
         items: dict[str, Item] = {tensor.name: numpy_helper.to_array(tensor) for tensor in source.initializer}
         items |= {one.name: value for one, value in zip(self._inputs, [observation, *hidden], strict=True)}
@@ -87,38 +87,40 @@ class OnnxNetwork:
         return results[0], results[1:]
 
     def _compare(self, graph: Graph, outputs: list[Value]) -> None:
-        """Refuse a translation that computes something else than the file."""
-        tensors = [Value("observation", self.inputs), *self._named_hidden()]
-        model = graph.to_onnx(tensors, outputs, "translation")
+        """Reject a translation with other outputs than the file."""
+        graph_inputs = [Value("observation", self.inputs), *self._named_hidden()]
+        model = graph.to_onnx(graph_inputs, outputs, "translation")
         random = np.random.default_rng(0)
-        inputs = [random.normal(size=(_ROWS, v.width)).astype(np.float32) for v in tensors]
-        translated = run_model(model.SerializeToString(), dict(zip((v.name for v in tensors), inputs, strict=True)))
-        for row in range(_ROWS):
+        inputs = [random.normal(size=(_NUM_SAMPLES, v.width)).astype(np.float32) for v in graph_inputs]
+        translated = run_model(
+            model.SerializeToString(), dict(zip((v.name for v in graph_inputs), inputs, strict=True))
+        )
+        for row in range(_NUM_SAMPLES):
             feed = {}
-            for one, values in zip(self._inputs, inputs, strict=True):
-                feed[one.name] = values[row].reshape([size or 1 for size in _shape(one)])
+            for one, samples in zip(self._inputs, inputs, strict=True):
+                feed[one.name] = samples[row].reshape([size or 1 for size in _shape(one)])
             for mine, theirs in zip(translated, run_model(self._data, feed), strict=False):
                 check_translation(mine[row], theirs.ravel())
 
 
 def check_translation(mine: NDArray[Any], theirs: NDArray[Any]) -> None:
-    """Refuse a translation whose numbers differ from those of the network itself."""
+    """Reject a translation whose outputs differ from the outputs of the original network."""
     difference = np.abs(mine - theirs) / np.maximum(1.0, np.abs(theirs))
     if not difference.max() <= _TOLERANCE:
-        raise SurefootError(f"the network was not understood: its translation differs by {difference.max():.2g}")
+        raise SurefootError(f"the network was not translated correctly: outputs differ by {difference.max():.2g}")
 
 
 def read_model(data: bytes) -> onnx.ModelProto:
-    """Return an ONNX model, read as data and checked for what could harm.
+    """Parse an ONNX model as data and check it for malicious content.
 
     Raises:
-        SurefootError: no ONNX; too large; data outside of the file; functions or graphs in nodes.
+        SurefootError: it is not ONNX or too large, has data outside of the file, functions, or graphs in nodes.
     """
     if len(data) > MAX_BYTES:
         raise SurefootError(f"has over {MAX_BYTES >> 20} MiB; a policy is smaller")
     try:
         model = onnx.load_model_from_string(data)
-    except Exception as error:  # protobuf's errors have no class of their own
+    except Exception as error:  # protobuf has no specific error class
         raise SurefootError(f"is not ONNX: {' '.join(str(error).split())[:200]}") from error
     graph = model.graph
     if not graph.node:
@@ -128,7 +130,7 @@ def read_model(data: bytes) -> onnx.ModelProto:
     if len(graph.node) > MAX_NODES:
         raise SurefootError(f"its network has {len(graph.node)} nodes; at most {MAX_NODES} are allowed")
     total = 0
-    for tensor in tensors(graph):
+    for tensor in constant_tensors(graph):
         if tensor.data_location == TensorProto.EXTERNAL or tensor.external_data:
             raise SurefootError(f"constant {quote(tensor.name)} is in another file, which was not read")
         if any(size < 0 for size in tensor.dims):
@@ -142,13 +144,13 @@ def read_model(data: bytes) -> onnx.ModelProto:
         for attribute in node.attribute:
             if attribute.type in (attribute.GRAPH, attribute.GRAPHS):
                 raise SurefootError(
-                    f"operator {quote(node.op_type)} has a graph in it; a policy needs no branches or loops"
+                    f"operator {quote(node.op_type)} contains a graph; a policy needs no branches or loops"
                 )
     return model
 
 
 def run_model(data: bytes, inputs: Mapping[str, NDArray[Any]]) -> list[NDArray[Any]]:
-    """Return the outputs of a model that was checked."""
+    """Run a model that was checked before, and return its outputs."""
     with stdout_to_stderr():
         import onnxruntime
 
@@ -158,21 +160,21 @@ def run_model(data: bytes, inputs: Mapping[str, NDArray[Any]]) -> list[NDArray[A
         try:
             session = onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
             outputs: list[NDArray[Any]] = session.run(None, dict(inputs))
-        except Exception as error:  # onnxruntime's errors have no common class of their own
+        except Exception as error:  # onnxruntime's errors have no common class
             raise SurefootError(f"onnxruntime can't run the network: {' '.join(str(error).split())[:200]}") from error
     return outputs
 
 
 def _shape(info: onnx.ValueInfoProto) -> list[int]:
-    """Return the shape of an input; 0 where it is free."""
+    """Return the shape of an input; 0 for a free dimension."""
     return [dim.dim_value for dim in info.type.tensor_type.shape.dim]
 
 
 def _width(info: onnx.ValueInfoProto) -> int:
-    """Return the numbers a row of an input."""
+    """Return the width of an input."""
     shape = _shape(info)
     if info.type.tensor_type.elem_type != TensorProto.FLOAT or not shape:
-        raise SurefootError(f"input {quote(info.name)} of the network is no tensor of 32-bit numbers")
+        raise SurefootError(f"input {quote(info.name)} of the network is not a tensor of 32-bit numbers")
     if not 0 < shape[-1] <= MAX_WIDTH or any(size not in (0, 1) for size in shape[:-1]):
         raise SurefootError(f"input {quote(info.name)} of the network has shape {shape}; it must be one row of numbers")
     return shape[-1]
@@ -183,25 +185,25 @@ def _attributes(node: onnx.NodeProto) -> dict[str, Any]:
 
 
 class _UnknownUseError(Exception):
-    """An operator is used in a way that is not understood."""
+    """An operator is used in an unsupported way."""
 
 
 def _translate(graph: Graph, node: onnx.NodeProto, items: dict[str, Item]) -> None:
-    """Add what a node computes to a graph and to the items."""
+    """Translate a node: add its operations to the graph and its outputs to `items`."""
     kind = node.op_type
     if kind not in _OPERATORS:
         raise SurefootError(f"the network has operator {quote(kind)}; known are {choices(sorted(_OPERATORS))}")
     missing = [name for name in node.input if name and name not in items]
     if missing:
-        raise SurefootError(f"the network has a {kind} of {quote(missing[0])}, which is nothing before it")
+        raise SurefootError(f"the network has a {kind} of {quote(missing[0])}, which is not defined before it")
     inputs = [items[name] if name else None for name in node.input]
     attributes = _attributes(node)
-    if kind == "Split":  # before opset 18, as many as there are outputs
+    if kind == "Split":  # before opset 18, the number of parts is the number of outputs
         attributes.setdefault("num_outputs", len(node.output))
     try:
         results = _OPERATORS[kind](graph, inputs, attributes)
     except (_UnknownUseError, ValueError, IndexError, TypeError, KeyError, AttributeError) as error:
-        raise SurefootError(f"the network has operator {kind} in a use that is not understood: {error}") from error
+        raise SurefootError(f"the network uses operator {kind} in an unsupported way: {error}") from error
     for name, item in zip(node.output, results, strict=False):
         if isinstance(item, Value) and not 0 < item.width <= MAX_WIDTH:
             raise SurefootError(f"the network has a {kind} of {item.width} numbers; at most {MAX_WIDTH} are allowed")
@@ -226,7 +228,7 @@ def _constant(item: Any) -> NDArray[Any]:
 
 
 def _row(array: Any) -> Array:
-    """Return a constant as one row, or as one number."""
+    """Return a constant as one row; a single number has width 1."""
     numbers = np.asarray(array, np.float64)
     if numbers.size != (numbers.shape[-1] if numbers.ndim else 1):
         raise _UnknownUseError("a constant has several rows")
@@ -280,7 +282,7 @@ def _same(graph: Graph, inputs: list[Any], _: dict[str, Any]) -> Sequence[Item]:
 
 
 def _reshaped(function: Callable[..., Any]) -> Operator:
-    """Return an operator that moves axes: of a value, whose rows stay; or of a constant."""
+    """Return the translation of an operator that rearranges axes: it leaves values unchanged, but acts on constants."""
 
     def apply(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
         return [inputs[0] if isinstance(inputs[0], Value) else function(*inputs, **attributes)]
@@ -289,9 +291,9 @@ def _reshaped(function: Callable[..., Any]) -> Operator:
 
 
 def _axis_is_last(axis: int) -> None:
-    # Values have rank 2, or 3 inside of a recurrent network.
+    # Values have rank 2, or 3 inside a recurrent network.
     if axis not in (-1, 1, 2):
-        raise _UnknownUseError(f"axis {axis} is not that of the columns")
+        raise _UnknownUseError(f"axis {axis} is not the column axis")
 
 
 def _concat(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
@@ -303,8 +305,10 @@ def _concat(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequ
 
 def _slice(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
     names = ("starts", "ends", "axes", "steps")
-    given = dict(zip(names, inputs[1:], strict=False)) | attributes
-    arrays = {name: np.atleast_1d(given[name]).astype(int).tolist() for name in names if given.get(name) is not None}
+    options = dict(zip(names, inputs[1:], strict=False)) | attributes
+    arrays = {
+        name: np.atleast_1d(options[name]).astype(int).tolist() for name in names if options.get(name) is not None
+    }
     count = len(arrays["starts"])
     axes, steps = arrays.get("axes", [*range(count)]), arrays.get("steps", [1] * count)
     item = inputs[0]
@@ -314,7 +318,7 @@ def _slice(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Seque
             index[axis] = slice(start, end, step)
             item = item[tuple(index)]
         elif axis in (0,) and start == 0 and end > 0 and step == 1:
-            continue  # all rows
+            continue  # a slice of all rows
         else:
             _axis_is_last(axis)
             item = graph.select(item, range(item.width)[start:end:step])
@@ -333,7 +337,7 @@ def _split(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Seque
     _axis_is_last(attributes.get("axis", 0))
     sizes = inputs[1] if len(inputs) > 1 and inputs[1] is not None else attributes.get("split")
     value = _value(inputs[0])
-    if sizes is None:  # equal parts; the last one has what is left
+    if sizes is None:  # equal parts; the last one has the remainder
         parts = int(attributes["num_outputs"])
         part = -(-value.width // parts)
         sizes = [part] * (parts - 1) + [value.width - part * (parts - 1)]
@@ -352,10 +356,10 @@ def _clip(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequen
 
 
 def _columns_of(inputs: list[Any], attributes: dict[str, Any]) -> Value:
-    """Return the value whose columns become one number, which keeps its axis."""
+    """Return the value of a reduction, which must be over the columns and keep its axis."""
     axes = attributes.get("axes", inputs[1] if len(inputs) > 1 else None)
     if axes is None or np.size(axes) != 1 or not attributes.get("keepdims", 1):
-        raise _UnknownUseError("it is not over the columns alone")
+        raise _UnknownUseError("it is not only over the columns")
     _axis_is_last(int(np.ravel(axes)[0]))
     return _value(inputs[0])
 
@@ -374,7 +378,7 @@ def _sum(scale: bool) -> Operator:
 
 def _power(graph: Graph, inputs: list[Any], _: dict[str, Any]) -> Sequence[Item]:
     if float(_constant(inputs[1]).reshape(())) != 2.0:
-        raise _UnknownUseError("only squares are known")
+        raise _UnknownUseError("only squares are supported")
     name = _value(inputs[0]).name
     return [Value(graph.apply("Mul", name, name), inputs[0].width)]
 
@@ -390,7 +394,7 @@ def _layer_norm(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> 
     if attributes.get("axis", -1) not in (-1, 1) or not math.isclose(
         attributes.get("epsilon", 1e-5), 1e-5, rel_tol=1e-3
     ):
-        raise _UnknownUseError("its axis or epsilon is another one")
+        raise _UnknownUseError("its axis or epsilon is unusual")
     width = _value(inputs[0]).width
     scale = _row(_constant(inputs[1]))[0]
     offset = _row(_constant(inputs[2]))[0] if len(inputs) > 2 else np.zeros(width)
@@ -399,24 +403,24 @@ def _layer_norm(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> 
 
 
 def _recurrent_inputs(inputs: list[Any], attributes: dict[str, Any]) -> tuple[Value, Array, Array, Array, Array]:
-    """Return input, weights of input and state (gates * H, ...), and their offsets, of a recurrent layer."""
+    """Return the input of a recurrent layer, its input and state weights (gates * H, ...), and both offsets."""
     forward = attributes.get("direction", b"forward") in (b"forward", "forward")
     if not forward or attributes.get("layout", 0) or attributes.get("activations") or attributes.get("clip"):
-        raise _UnknownUseError("only plain layers that go forward are known")
+        raise _UnknownUseError("only standard forward layers are supported")
     weight, state = (_constant(item).astype(np.float64)[0] for item in inputs[1:3])
     size = len(weight)
     offset = np.zeros(2 * size) if len(inputs) < 4 or inputs[3] is None else _constant(inputs[3]).astype(np.float64)[0]
     if len(inputs) > 4 and inputs[4] is not None:
-        raise _UnknownUseError("lengths of sequences are given")
+        raise _UnknownUseError("sequence lengths are not supported")
     return _value(inputs[0]), weight, state, offset[:size], offset[size:]
 
 
 def _lstm(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
-    """Add an LSTM layer for one step: gates in the order i, o, f, c of ONNX."""
+    """Translate one time step of an LSTM layer, with ONNX's gate order i, o, f, c."""
     value, weight, state, offset, state_offset = _recurrent_inputs(inputs, attributes)
     hidden, cell = (_value(item) for item in inputs[5:7])
     if len(inputs) > 7 and inputs[7] is not None:
-        raise _UnknownUseError("peepholes are not known")
+        raise _UnknownUseError("peepholes are not supported")
     size = hidden.width
     total = graph.apply(
         "Add",
@@ -432,12 +436,12 @@ def _lstm(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequen
 
 
 def _gru(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
-    """Add a GRU layer for one step: gates in the order z, r, h of ONNX."""
+    """Translate one time step of a GRU layer, with ONNX's gate order z, r, h."""
     value, weight, state, offset, state_offset = _recurrent_inputs(inputs, attributes)
     hidden = _value(inputs[5])
     size = hidden.width
     if not attributes.get("linear_before_reset", 0):
-        raise _UnknownUseError("only linear_before_reset, as torch has it, is known")
+        raise _UnknownUseError("only linear_before_reset is supported, which torch uses")
     parts = []
     for k in range(3):
         rows = slice(k * size, (k + 1) * size)
@@ -509,4 +513,4 @@ _OPERATORS: dict[str, Operator] = {
     "Unsqueeze": _reshaped(lambda array, axes: np.expand_dims(array, tuple(np.ravel(axes)))),
     "Transpose": _reshaped(lambda array, perm=None: np.transpose(array, perm)),
 }
-"""What adds each of ONNX's operators to a graph."""
+"""Translations of ONNX operators."""

@@ -1,4 +1,4 @@
-"""Weights that exporters write beside an ONNX file, as `policy.onnx.data`: read as data, within bounds."""
+"""Reader of external weights, such as `policy.onnx.data`, which exporters write next to an ONNX file."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from surefoot.policy.network import MAX_BYTES
 
 
 def read_network(path: Path) -> bytes:
-    """Return the bytes of a network's file; of an ONNX file with its weights in it, wherever they are.
+    """Read a network file; external weights of an ONNX file are embedded in the returned bytes.
 
     Raises:
-        SurefootError: a file that is missing or too large, or weights that are elsewhere than in the same folder.
+        SurefootError: a file is missing or too large, or the weights are not in the same folder.
     """
     data = _read(path)
     if path.suffix != ".onnx" or b"location" not in data:
         return data
     try:
         model = onnx.load_model_from_string(data)
-    except Exception:  # whoever reads it next says what is wrong with it
+    except Exception:  # the next parser reports the error
         return data
     total = 0
     files: dict[str, bytes] = {}
     with prefix_errors(path):
-        for tensor in tensors(model.graph):
+        for tensor in constant_tensors(model.graph):
             if tensor.data_location != TensorProto.EXTERNAL:
                 continue
             entries = {entry.key: entry.value for entry in tensor.external_data}
             name = entries.get("location", "")
             if name not in files:
-                files[name] = _read_beside(path, name)
+                files[name] = _read_weights(path, name)
             start, size = (_whole(entries.get(key), default) for key, default in (("offset", 0), ("length", -1)))
             end = len(files[name]) if size < 0 else start + size
             if end > len(files[name]):
@@ -48,15 +48,15 @@ def read_network(path: Path) -> bytes:
     return bytes(model.SerializeToString()) if files else data
 
 
-def tensors(graph: onnx.GraphProto) -> Iterator[TensorProto]:
-    """Yield the constants of a graph, also those in attributes of nodes."""
+def constant_tensors(graph: onnx.GraphProto) -> Iterator[TensorProto]:
+    """Yield the constants of a graph, including tensors in attributes of nodes."""
     yield from graph.initializer
     for node in graph.node:
         yield from (attribute.t for attribute in node.attribute if attribute.type == attribute.TENSOR)
 
 
 def _whole(text: str | None, default: int) -> int:
-    """Return a number of bytes that a file states."""
+    """Parse an offset or length [byte]."""
     if text is None:
         return default
     if not text.isascii() or not text.isdigit() or len(text) > 12:
@@ -64,14 +64,14 @@ def _whole(text: str | None, default: int) -> int:
     return int(text)
 
 
-def _read_beside(path: Path, name: str) -> bytes:
-    """Return the bytes of a file of a plain name in the folder of another one."""
+def _read_weights(path: Path, name: str) -> bytes:
+    """Read a file next to another one; its name must not have folders."""
     if not name or name in (".", "..") or any(letter in name for letter in "/\\\0"):
         raise SurefootError(f"its weights are in {quote(name)}; they must be in a file next to it")
-    beside = path.parent / name
-    if not beside.exists():
+    weights = path.parent / name
+    if not weights.exists():
         raise SurefootError(f"the weights are in {name}, which is not next to it; copy it there")
-    return _read(beside)
+    return _read(weights)
 
 
 def _read(path: Path) -> bytes:

@@ -1,7 +1,7 @@
-"""What has to be known about a policy that others trained; every format is read into this.
+"""Specification of a third-party policy, the common representation of all formats.
 
-As YAML it is the format `manual`. Numbers are in SI units and angles are joint angles as the robot's URDF has them, in
-the order of `joints`, unless stated otherwise.
+As YAML it is the format `manual`. Numbers are in SI units. Angles are joint angles of the robot's URDF, in the order of
+`joints`, unless stated otherwise.
 """
 
 from __future__ import annotations
@@ -27,43 +27,43 @@ TermName = Literal[
 ]
 MAX_HISTORY = 100
 PerJoint = float | tuple[float, ...]
-"""One number, or one for each joint in the network's order."""
+"""One number, or one per joint in the network's order."""
 Range = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class ObservationTerm:
-    """A part of the network's observation: its numbers are clipped, scaled and clipped, for each of its ages."""
+    """A term of the network's observation; its values are clipped, scaled and clipped again, for each time step."""
 
     term: TermName
-    """command: speeds forward and to the left [m/s] and yaw rate [rad/s]; gravity: its direction in the base frame,
-    (0, 0, -1) of a level base; angular_velocity: of the base, in the base frame [rad/s]; roll_pitch [rad];
-    joint_positions: less the default pose [rad]; joint_speeds [rad/s]; last_action: as the network gave it, clipped by
-    `action_clip`, 0 at first; clock: sine and cosine of a phase; constant: `values`."""
+    """command: forward and leftward velocity [m/s] and yaw rate [rad/s]; gravity: unit vector in the base frame,
+    (0, 0, -1) for a level base; angular_velocity: of the base, in the base frame [rad/s]; roll_pitch [rad];
+    joint_positions: minus the default pose [rad]; joint_speeds [rad/s]; last_action: raw network output, clipped by
+    `action_clip`, initially 0; clock: sine and cosine of a phase; constant: `values`."""
     scale: Annotated[PerJoint, Within(-1e4, 1e4)] = 1.0
-    """Factor, one for all numbers of the term or one for each."""
+    """Scale factor: one for the whole term, or one per element."""
     clip: Annotated[Range | None, Within(-1e6, 1e6)] = None
-    """Least and greatest number before the scale; None: they are not clipped."""
+    """Minimum and maximum before scaling; None: not clipped."""
     clip_after: Annotated[Range | None, Within(-1e6, 1e6)] = None
-    """Least and greatest number after the scale; None: they are not clipped."""
+    """Minimum and maximum after scaling; None: not clipped."""
     steps: Annotated[tuple[int, ...], Within(0, MAX_HISTORY - 1)] = (0,)
-    """Ages of its numbers in control steps, in the network's order: 0 is the newest. (4, 3, 2, 1, 0) is a history of 5,
-    the oldest first."""
+    """History: ages of the values in control steps, in the network's order; 0 is the newest. (4, 3, 2, 1, 0) is a
+    history of length 5, oldest first."""
     columns: Annotated[tuple[int, ...] | None, Within(0, 4095)] = None
-    """Which of its numbers the network takes, in order; None: all."""
+    """Indices of the term's elements that the network takes, in order; None: all."""
     relative: bool = True
-    """Whether joint positions are less the default pose."""
+    """Whether the default pose is subtracted from joint positions."""
     period: Annotated[float, Within(1e-3, 3600)] = 1.0
     """Period of a clock [s]."""
     start: Annotated[float, Within(-1e3, 1e3)] = 0.0
     """Phase of a clock in the first control step [cycles]."""
     phases: Annotated[tuple[float, ...], Within(-1e3, 1e3)] = (0.0,)
-    """What is added to a clock's phase [cycles]: sine and cosine for each of them."""
+    """Phase offsets of a clock [cycles]; each gives a sine and a cosine."""
     values: Annotated[tuple[float, ...], Within(-1e6, 1e6)] = ()
-    """The numbers of a constant."""
+    """Values of a constant term."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of bounds."""
+        """Reject numbers out of bounds."""
         check_bounds(self, "observations")
         if not self.steps:
             raise SurefootError(f"observation {self.term}: steps is empty; it must have an age, such as 0")
@@ -77,52 +77,52 @@ class ObservationTerm:
 
 @dataclass(frozen=True)
 class PolicySpecification:
-    """A policy that others trained, without its network."""
+    """Specification of a third-party policy: everything except its network."""
 
     joints: tuple[str, ...]
-    """Joints in the network's order, by their names in the robot's URDF."""
+    """Joint names of the robot's URDF, in the network's order."""
     default_pose: Annotated[tuple[float, ...], Within(-2 * math.pi, 2 * math.pi)]
-    """Joint angles [rad] about which actions and joint positions count; the robot stands in them first."""
+    """Joint angles [rad] to which actions and joint positions are relative, and in which the robot initially stands."""
     kp: Annotated[PerJoint, Within(0, 1e4)]
-    """Proportional gain [N m/rad] of all joints, or of each."""
+    """Proportional gain [N m/rad], one for all joints or one per joint."""
     kd: Annotated[PerJoint, Within(0, 1e4)]
-    """Derivative gain [N m s/rad] of all joints, or of each."""
+    """Derivative gain [N m s/rad], one for all joints or one per joint."""
     control_step: Annotated[float, Within(1e-4, 1)]
-    """Time between two actions [s]: the simulation's step times its decimation."""
+    """Time between two actions [s]: the simulation step times the decimation."""
     observations: tuple[ObservationTerm, ...]
-    """Parts of the network's observation, in order."""
+    """Terms of the network's observation, in order."""
     action_scale: Annotated[PerJoint, Within(-100, 100)] = 1.0
-    """Joint angle [rad] for each unit of the action."""
+    """Joint angle per unit of action [rad]."""
     action_offset: Annotated[tuple[float, ...] | None, Within(-2 * math.pi, 2 * math.pi)] = None
-    """Joint angles [rad] of action 0; the default pose, if not given."""
+    """Joint angles at action 0 [rad]; defaults to the default pose."""
     action_clip: Annotated[tuple[PerJoint, PerJoint] | None, Within(-1e6, 1e6)] = None
-    """Least and greatest action, before the scale; None: not clipped."""
+    """Minimum and maximum action before scaling; None: not clipped."""
     target_clip: Annotated[tuple[PerJoint, PerJoint] | None, Within(-1e3, 1e3)] = None
-    """Least and greatest joint angle [rad]; None: the joints' own limits. These hold in any case."""
+    """Minimum and maximum target joint angle [rad]; None: only the joint limits, which always apply."""
     joint_signs: Annotated[tuple[float, ...] | None, Within(-1, 1)] = None
-    """1 or -1 for each joint: its sense over that of the robot's URDF; None: the same."""
-    observation_clip: Annotated[float | None, Within(0, 1e6, above=True)] = None
-    """Greatest size of a number of the observation, after the scale; None: not clipped."""
+    """1 or -1 for each joint: its positive direction relative to the robot's URDF; defaults to 1."""
+    observation_clip: Annotated[float | None, Within(0, 1e6, exclusive=True)] = None
+    """Maximum absolute value of an observation after scaling; None: not clipped."""
     history_by: Literal["step", "term"] = "step"
-    """Order of an observation with several ages. step: all terms of an age, then all terms of the next one; term: all
-    ages of a term, then all ages of the next one."""
+    """Order of an observation with history. step: all terms of one time step, then all terms of the next; term: all
+    time steps of one term, then all time steps of the next."""
     forward: Annotated[Range, Within(-100, 100)] = (-0.5, 1.0)
-    """Speeds forward [m/s] that may be commanded: those of training."""
+    """Range of forward velocity commands [m/s], as in training."""
     sideways: Annotated[Range, Within(-100, 100)] = (-0.4, 0.4)
-    """Speeds to the left [m/s] that may be commanded."""
+    """Range of leftward velocity commands [m/s]."""
     yaw_rate: Annotated[Range, Within(-100, 100)] = (-0.8, 0.8)
-    """Yaw rates [rad/s] that may be commanded."""
+    """Range of yaw rate commands [rad/s]."""
     latency: Annotated[float | None, Within(0, 1)] = None
-    """Age of the readings in training [s]; the robot's nominal one, if not given."""
+    """Latency of the readings in training [s]; defaults to the robot's nominal value."""
     fall_angle: Annotated[float, Within(1e-3, math.pi)] = 0.5
     """Roll or pitch [rad] beyond which an episode ends."""
     name: str = ""
-    """Name of the policy; that of the file that is written, if empty."""
+    """Name of the policy; defaults to the name of the written file."""
     notes: dict[str, str] = field(default_factory=dict)
-    """What the user should know of fields, such as what was assumed."""
+    """Notes for the user by field, such as assumptions."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers that do not fit each other."""
+        """Reject fields that contradict each other."""
         check_bounds(self)
         if self.name:
             check_name("name", self.name)
@@ -140,12 +140,12 @@ class PolicySpecification:
         if self.joint_signs is not None and not {*self.joint_signs} <= {1.0, -1.0}:
             raise SurefootError(f"joint_signs are {list(self.joint_signs)}; each must be 1 or -1")
         if not self.observations:
-            raise SurefootError("observations are empty; a policy observes something")
+            raise SurefootError("observations are empty; name at least one")
         if self.history_by == "step" and len({term.steps for term in self.observations}) > 1:
             raise SurefootError("history_by is step, so all observations must have the same steps")
 
     def check_commands(self) -> None:
-        """Refuse ranges of commands without 0, at which surefoot lets robots stand."""
+        """Reject command ranges without 0, which is surefoot's command to stand."""
         for name, unit in COMMANDS.items():
             low, high = getattr(self, name)
             if low > high:
@@ -153,6 +153,6 @@ class PolicySpecification:
             if not low <= 0.0 <= high:
                 option = f"--{name.replace('_', '-')} {min(low, 0.0):g} {max(high, 0.0):g}"
                 raise SurefootError(
-                    f"{name} is [{low:g}, {high:g}] {unit}, without 0: standing was never trained. surefoot lets "
-                    f"robots stand at command 0; give {option} if it stands"
+                    f"{name} is [{low:g}, {high:g}] {unit}, without 0: standing was never trained. surefoot commands 0 "
+                    f"to stand; give {option} if the policy can stand"
                 )

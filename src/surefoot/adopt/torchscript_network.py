@@ -1,7 +1,7 @@
-"""A network of a TorchScript file, which torch loads in a process without rights (`sandbox.py`).
+"""Reader of TorchScript networks, which torch loads in a sandboxed process without rights (`sandbox.py`).
 
-That process traces the module into the operators that policy files may have and sends it back as ONNX, with samples of
-inputs and outputs. What comes back is read as any other ONNX file: as data that may be hostile.
+The process traces the module into the operators that policy files may have, and returns it as ONNX with samples of
+inputs and outputs. Its output is treated as untrusted data, like any other ONNX file.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from surefoot.adopt.onnx_network import OnnxNetwork, check_translation, run_mode
 from surefoot.errors import SurefootError
 from surefoot.policy.network import MAX_BYTES
 
-_LIMITS = sandbox.Limits(memory=16 * 2**30, time=60.0, patience=180.0)
-"""Of the process: torch reserves some 5 GiB of addresses, and takes some seconds to load."""
+_LIMITS = sandbox.Limits(memory=16 * 2**30, time=60.0, timeout=180.0)
+"""Limits of the process: torch reserves about 5 GiB of address space and takes some seconds to load."""
 _SAMPLES = 16
 _TRUSTED = "trusted"
 
 
 def load(data: bytes, width: int, trusted: bool = False) -> OnnxNetwork:
-    """Return the network of a TorchScript file.
+    """Load the network of a TorchScript file.
 
     Args:
         data: the file.
-        width: numbers of an observation.
-        trusted: load it with all rights, where a process without rights can't be made.
+        width: expected width of an observation.
+        trusted: load it with all rights, for systems without sandbox support.
 
     Raises:
-        SurefootError: no torch, no TorchScript, or a network that can't be adopted.
+        SurefootError: torch is missing, the file is not TorchScript, or the network is not supported.
     """
     if len(data) > MAX_BYTES:
         raise SurefootError(f"has over {MAX_BYTES >> 20} MiB; a policy is smaller")
     if not data.startswith(b"PK"):
-        raise SurefootError("is no TorchScript file; a checkpoint (model_1000.pt) holds no network: export the policy")
+        raise SurefootError("is not a TorchScript file; a checkpoint (model_1000.pt) has no network: export the policy")
     if not trusted and not sandbox.is_supported():
         raise SurefootError(
             "is TorchScript, which this machine can't load without rights to files and network; if you trust it, "
@@ -49,7 +49,7 @@ def load(data: bytes, width: int, trusted: bool = False) -> OnnxNetwork:
         raise SurefootError("is TorchScript, which needs torch; export the policy to ONNX, or install torch")
     ending = sandbox.run_module(__name__, [str(width), *([_TRUSTED] if trusted else [])], _LIMITS, data)
     if ending.code == -signal.SIGKILL:
-        raise SurefootError(f"torch did not load it within {_LIMITS.patience:g} s")
+        raise SurefootError(f"torch did not load it within {_LIMITS.timeout:g} s")
     if ending.code:
         raise SurefootError(ending.message or f"torch ended with code {ending.code} as it loaded it")
     result = ending.output
@@ -62,7 +62,7 @@ def load(data: bytes, width: int, trusted: bool = False) -> OnnxNetwork:
 
 
 def _check_samples(network: OnnxNetwork, samples: Any, model: bytes) -> None:
-    """Refuse a network that computes something else than the module did."""
+    """Reject a network whose outputs differ from the module's samples."""
     ends, names = [network.inputs, *network.hidden], [one.name for one in network.model.graph.input]
     widths = [*ends, network.outputs, *network.hidden]
     if samples.size % sum(widths) or not np.isfinite(samples).all():
@@ -74,15 +74,15 @@ def _check_samples(network: OnnxNetwork, samples: Any, model: bytes) -> None:
 
 
 def main(words: list[str]) -> int:
-    """Read TorchScript from standard input, and write ONNX and samples to standard output."""
+    """Entry point of the process: read TorchScript from standard input, write ONNX and samples to standard output."""
     from surefoot.adopt.torchscript_tracing import trace, warm_up
 
     data, width = sys.stdin.buffer.read(), int(words[0])
-    output = sandbox.take_output()
+    output = sandbox.claim_stdout()
     warm_up()
     try:
         if _TRUSTED not in words:
-            sandbox.enter(_LIMITS)
+            sandbox.enter_sandbox(_LIMITS)
         model, samples = trace(io.BytesIO(data), width, _SAMPLES)
     except SurefootError as error:
         print(error, file=sys.stderr)

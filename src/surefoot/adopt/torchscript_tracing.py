@@ -1,4 +1,4 @@
-"""Trace a TorchScript module into the operators that policy files may have; needs torch."""
+"""Tracing of a TorchScript module into the operators that policy files may have; needs torch."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from surefoot.policy.torch_graph import ROWS, add_traced
 
 _MAX_ACTIONS = 64
 _MAX_TRIES = 40
-"""Widths that are tried with a module that does not take the expected one."""
+"""Maximum number of observation widths that are tried if a module does not take the expected one."""
 _STATES = ("hidden_state", "cell_state")
-"""Buffers in which the exporters of rsl_rl and legged_gym keep the state of a recurrent layer, (1, 1, H)."""
+"""Buffers in which the exporters of rsl_rl and legged_gym store the state of a recurrent layer (1, 1, H)."""
 
 
 class _Example(nn.Module):
-    """A module that needs what the tracing of others may load."""
+    """A module that uses everything that torch may load lazily while it traces a policy."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -42,9 +42,9 @@ class _Example(nn.Module):
 
 
 def warm_up() -> None:
-    """Load all that torch loads when it is first used: later there are no rights to."""
+    """Load everything that torch loads on first use, because the sandbox later denies it."""
     torch.set_num_threads(1)
-    # As single operators a recurrent layer can be traced.
+    # Without mkldnn, a recurrent layer consists of single operators that can be traced.
     torch.backends.mkldnn.set_flags(False)
     file = io.BytesIO()
     torch.jit.save(torch.jit.script(_Example()), file)
@@ -53,20 +53,19 @@ def warm_up() -> None:
 
 
 def trace(file: io.BytesIO, width: int, samples: int) -> tuple[bytes, bytes]:
-    """Return a module as ONNX, and rows of random inputs with their outputs as 32-bit numbers.
+    """Trace a module to ONNX, and return it with rows of random inputs and their outputs as 32-bit numbers.
 
-    States of a recurrent layer are inputs after the observation and outputs after the action.
-
-    A module that takes another width than `width` is traced with its own, which whoever reads the file compares.
+    States of a recurrent layer become inputs after the observation and outputs after the action. A module that takes
+    another observation width than `width` is traced with its own width; the caller compares it.
 
     Raises:
-        SurefootError: no TorchScript, or a network that can't be adopted.
+        SurefootError: the file is not TorchScript, or the network is not supported.
     """
     try:
         module: Any = torch.jit.load(file, map_location="cpu")
-    except Exception as error:  # a file of somebody else can raise anything
+    except Exception as error:  # an untrusted file can raise anything
         reason = " ".join(str(error).split())[:200]
-        raise SurefootError(f"is no TorchScript that torch {torch.__version__} loads: {reason}") from error
+        raise SurefootError(f"is not TorchScript that torch {torch.__version__} loads: {reason}") from error
     module.eval()
     states = {name: buffer for name, buffer in module.named_buffers() if name in _STATES and buffer.numel()}
     if any(buffer.ndim != 3 or buffer.shape[:2] != (1, 1) for buffer in states.values()):
@@ -104,14 +103,14 @@ def trace(file: io.BytesIO, width: int, samples: int) -> tuple[bytes, bytes]:
 
 
 def _taken_width(step: Callable[..., Any], width: int, module: Any, hidden: list[int]) -> int:
-    """Return the width of the observations that a module takes: `width`, or else a width of one of its tensors."""
+    """Return the observation width that a module accepts: `width`, or else the width of one of its tensors."""
     tensors = (*module.parameters(), *module.buffers())
     others = dict.fromkeys(int(tensor.shape[-1]) for tensor in tensors if tensor.ndim)
     for one in (width, *[size for size in others if 0 < size <= MAX_WIDTH][:_MAX_TRIES]):
         try:
             with torch.no_grad():
                 result = step(torch.zeros(1, one), *(torch.zeros(1, 1, size) for size in hidden))
-        except Exception:  # a module of somebody else can raise anything
+        except Exception:  # an untrusted module can raise anything
             continue
         if isinstance(result[0], torch.Tensor) and result[0].ndim == 2:
             return one
@@ -119,6 +118,6 @@ def _taken_width(step: Callable[..., Any], width: int, module: Any, hidden: list
 
 
 def _last_line(error: Exception) -> str:
-    """Return what an error of TorchScript says, which has the traceback before it."""
+    """Return the message of a TorchScript error, which is preceded by a traceback."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     return lines[-1][:200] if lines else type(error).__name__

@@ -1,4 +1,4 @@
-"""Numbers of a specification that no framework uses: hints at a mistake that simulated robots may not show."""
+"""Unusual numbers in a specification, which no framework uses: hints at mistakes that simulation may not reveal."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _USUAL_ACTIONS = (0.1, 0.125, 0.2, 0.25, 0.3, 0.5)
 _USUAL_GAINS = (0.2, 1.2)
 """Range of the proportional gain per radian, relative to the robot's weight times the length of its legs."""
 _USUAL_DAMPING = (0.018, 0.07)
-"""Range of derivative over proportional gain [s]."""
+"""Range of the ratio of derivative to proportional gain [s]."""
 _USUAL_STEP = 0.02
 VECTORS = ("command", "gravity", "angular_velocity")
-"""Terms of three numbers along axes."""
+"""Observation terms with three components."""
 
 
 def unusual_numbers(spec: PolicySpecification, robot: RobotDescription) -> tuple[str, ...]:
-    """Return the names of those numbers of a specification that no framework usually has, for a robot of this size."""
+    """Return the names of numbers in a specification that are unusual for a robot of this size."""
     sizes = {str(term.term): _sizes(term) for term in spec.observations}
     rates = [sizes.get(name, np.array([np.nan])) for name in ("angular_velocity", "joint_speeds")]
     kp, kd = np.asarray(spec.kp), np.asarray(spec.kd)
@@ -62,7 +62,7 @@ def _column(value: float | Sequence[float]) -> Array:
 
 
 def _sizes(term: ObservationTerm) -> Array:
-    """Return the sizes of a term's scales: of a vector's numbers in their own order."""
+    """Return the absolute scales of a term; for a vector, in the order of its components."""
     scales = np.abs(np.atleast_1d(term.scale))
     if term.term not in VECTORS:
         return scales

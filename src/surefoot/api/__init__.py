@@ -1,1 +1,1 @@
-"""What the command line and `import surefoot` share: policies by name, trainings, episodes, the drive page."""
+"""Functions shared by the command line and `import surefoot`: policies by name, trainings, episodes, the drive page."""

@@ -1,4 +1,4 @@
-"""The drive page: a simulated robot that runs in real time behind a page in the browser, and obeys it."""
+"""Drive page: a robot simulated in real time, which is steered from a page in the browser."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import numpy as np
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.api.policy_list import list_policies
 from surefoot.errors import SurefootError, choices
-from surefoot.robot.commands import COMMANDS, STAND
+from surefoot.robot.commands import COMMANDS, STAND_COMMAND
 from surefoot.world.registry import WORLDS
 from surefoot.world.terrain import KINDS, check_size, is_map
 
@@ -31,35 +31,35 @@ if TYPE_CHECKING:
     from surefoot.task.config import TaskConfig
 
 SPEEDS = (1.0, 0.5, 0.25, 0.1)
-"""Simulated over real time that a page may choose."""
+"""Simulation speeds that the page offers, relative to real time."""
 _FRAME_PERIOD = 1 / 30
-"""Time between two pictures [s]."""
+"""Time between two frames of the 3D view [s]."""
 _REPORT_PERIOD = 1 / 15
 """Time between two points of the plots [s]."""
 _COMMAND_TIMEOUT = 3.0
-"""Time after which a command that is not repeated ends [s]."""
+"""Time after which a command ends unless it is repeated [s]."""
 _PUSH_DURATIONS = (0.1, 0.3, 1.0)
-"""How long a push may last [s]."""
-_FIRST_SIZES = {
+"""Durations of pushes that the page offers [s]."""
+_DEFAULT_SIZES = {
     **{"stairs": 0.08, "stairs_down": 0.10, "slope": 15.0, "slope_down": 15.0},
     **{"rough": 0.08, "blocks": 0.06, "gaps": 0.15, "stones": 0.40},
 }
-"""Sizes of terrain that is chosen."""
+"""Initial size of each kind of terrain, in its unit."""
 _SIZE_STEPS = {"m": 0.005, "deg": 0.5}
-"""Steps of a terrain's slider, by unit."""
+"""Step of the slider for the terrain's size, by unit."""
 RECORDINGS = Path("recordings")
-"""Folder of recordings, if no other is given."""
+"""Default folder of recordings."""
 _LIST_PERIOD = 10.0
-"""Time between two looks for policies of new runs [s]."""
+"""Time between two searches for policies of new runs [s]."""
 _MEAN_SPEED_TIME = 0.25
 """Time over which plotted speeds are averaged [s]."""
 
 
 def serve(drive: DrivePage, host: str | None, port: int, commands: str | None = None) -> None:
-    """Serve the page, and run the simulation behind it until Ctrl-C; `commands` name a source in place of the page.
+    """Serve the page and run its simulation until Ctrl-C; `commands` is another source of commands than the page.
 
     Raises:
-        SurefootError: a port that is taken, or a source that can't be opened.
+        SurefootError: the port is in use, or the source of commands can't be opened.
     """
     from surefoot.deploy.command_sources import open_commands
     from surefoot.report.pages.server import robot_page
@@ -67,7 +67,7 @@ def serve(drive: DrivePage, host: str | None, port: int, commands: str | None = 
     with contextlib.ExitStack() as stack:
         if commands is not None:
             if drive.robot.limits is None:
-                raise SurefootError(f"--commands is given; policy '{drive.policy}' has no commands to follow")
+                raise SurefootError(f"--commands is given; policy '{drive.policy}' follows no commands")
             drive.source, drive.source_name = open_commands(commands, drive.robot.limits), commands
             stack.callback(drive.source.close)
         page, view = stack.enter_context(robot_page(host, port))
@@ -76,19 +76,19 @@ def serve(drive: DrivePage, host: str | None, port: int, commands: str | None = 
 
 
 class DrivePage:
-    """The simulation behind the page.
+    """Simulation behind the drive page.
 
     Args:
-        policy: path, or name of one that ships.
+        policy: path or name of the first policy.
         world: name of the world.
-        robot: name or folder of the robot of that policy; the one of its task, if None.
-        adjust: returns that policy's task in another simulator. Tasks of other policies stay as they are.
+        robot: name or folder of the robot; defaults to the policy's.
+        adjust: function that changes the simulator of the first policy's task; other policies' tasks stay unchanged.
         recordings: folder of recordings.
-        terrain: what robots stand on: flat, KIND:SIZE, or the path of a map.
+        terrain: flat, KIND:SIZE, or the path of a height map.
     """
 
     source: CommandSource | None = None
-    """Source of commands in place of the page."""
+    """Source of commands instead of the page."""
     source_name = ""
 
     def __init__(
@@ -107,39 +107,39 @@ class DrivePage:
         self.recordings = DriveRecordings(recordings)
         self.paused, self.speed = False, 1.0
         self.delays: deque[float] = deque(maxlen=10_000)
-        """Time from a hand's movement in the browser to its command in the simulation [s], on one machine."""
-        self.real_time_share = 1.0
-        """Share of real time that was reached in the last second or so."""
+        """Delays from an input in the browser to its command in the simulation [s], for a browser on this machine."""
+        self.real_time_factor = 1.0
+        """Ratio of the achieved to the selected simulation speed, over about the last second."""
         self._command_time = 0.0
         self._settings: dict[str, float] = {}
-        """What was set by sliders; it holds for every robot that is loaded."""
+        """Parameters set on the page, which are applied to every robot that is loaded."""
         self.policy, self.world, self.terrain = policy, world, terrain
         self._maps = [terrain] if is_map(terrain) else []
         self.robot, self._name = self._load(policy, world, terrain)
         self._robot_name = self.robot.env.task.robot
         self.ghost: DrivenRobot | None = None
-        """A robot beside the first one, which has the same commands, pushes and parameters."""
+        """Second robot for comparison, with the same commands, pushes and parameters."""
         self.ghost_policy, self._ghost_name, self._ghost_offset = "", "", 0.0
         self._list_policies()
 
     def _list_policies(self) -> bool:
-        """Look for policies of the robot; return whether there are others than before."""
+        """Update the list of policies for the robot; return whether it has changed."""
         before = getattr(self, "policies", None)
         self._listed = time.monotonic()
-        # The robot runs on where a policy's folder has been moved or removed.
+        # The simulation continues if a policy's folder has been moved or removed.
         with contextlib.suppress(SurefootError) if before else contextlib.nullcontext():
             self.policies = list_policies(self._first, self.robot.robot.name)
         return self.policies != before
 
     def _load(self, policy: str, world: str, terrain: str) -> tuple[DrivenRobot, str]:
-        """Return a robot with a policy in a world on a terrain, and the policy's own name."""
+        """Return a simulated robot with a policy in a world on a terrain, and the name in the policy's contract."""
         from surefoot.evaluation.command_runs import DrivenRobot
 
         runtime, _, task, origin = load_gait(find_policy(policy), self._robot_name)
         task = self._adjust(task) if policy == self._first else task
         robot = DrivenRobot(runtime, task, world, terrain)
         for name, value in self._settings.items():
-            with contextlib.suppress(SurefootError):  # this world or robot does not have it
+            with contextlib.suppress(SurefootError):  # this world or robot does not have the parameter
                 robot.set(name, value)
         return robot, origin["name"]
 
@@ -148,7 +148,7 @@ class DrivePage:
         return [self.robot] if self.ghost is None else [self.robot, self.ghost]
 
     def run(self, page: PageServer, view: RobotView, stop: threading.Event) -> None:
-        """Run until `stop` is set. While no tab is open, time stands still."""
+        """Run until `stop` is set; the simulation is paused while no tab is open."""
         self._page, self._view = page, view
         try:
             self._run(page, stop)
@@ -178,33 +178,33 @@ class DrivePage:
             simulated = steps * self.robot.step_time / speed
             time.sleep(max(begin + simulated - time.perf_counter(), 0.0))
             if (passed := time.perf_counter() - begin) > 1.0:
-                self.real_time_share = min(simulated / passed, 1.0)
-                # Lost time is not made up for: no real robot speeds up.
+                self.real_time_factor = min(simulated / passed, 1.0)
+                # Lost time is not caught up by running faster than real time.
                 begin, steps = time.perf_counter(), 0
 
     def _step(self) -> None:
-        """Run a control step with the command of the source, or with the page's newest one."""
+        """Run a control step with the command of the source or of the page."""
         if self.source is not None and self.robot.limits is not None:
             self._set_command(self.source.read(self.robot.time))
         elif self._command_time and time.perf_counter() - self._command_time > _COMMAND_TIMEOUT:
-            self._command(STAND)
+            self._command(STAND_COMMAND)
         if self.ghost is not None and any(robot.must_stand_up for robot in self._robots):
             self._restart()
         self.robot.step()
         if self.ghost is not None:
-            # Its control step may be another one.
+            # The ghost may have another control step.
             while self.ghost.time + self._ghost_offset < self.robot.time - 1e-9:
                 self.ghost.step()
 
     def _restart(self) -> None:
-        """Begin anew at the start, both robots side by side."""
+        """Restart all robots at the start."""
         for robot in self._robots:
             robot.restart()
         if self.ghost is not None:
             self._ghost_offset = self.robot.time - self.ghost.time
 
     def _update_recordings(self) -> None:
-        """Offer what was recorded to the browser, and report what went wrong."""
+        """Make recorded files available to the browser, and report errors."""
         self.recordings.update()
         for path in list(self.recordings.files.values()):
             self._page.files[path.name] = path
@@ -239,7 +239,7 @@ class DrivePage:
             legs=robot.leg_names,
             source=self.source_name,
             limits=None if limits is None else [[*getattr(limits, name)] for name in COMMANDS],
-            knobs=[asdict(knob) for knob in self.robot.knobs()],
+            live_parameters=[asdict(knob) for knob in self.robot.live_parameters()],
             speeds=SPEEDS,
             pushes=_PUSH_DURATIONS,
         )
@@ -251,23 +251,23 @@ class DrivePage:
         report: dict[str, Any] = {
             "paused": self.paused,
             "speed": self.speed,
-            "share": round(self.real_time_share, 3),
+            "share": round(self.real_time_factor, 3),
             "recording": self.recordings.report(),
         }
         if rows := self.robot.rows:
-            report |= _figures(self.robot) | {
+            report |= _plot_values(self.robot) | {
                 "time": round(rows[-1].time, 4),
                 "contact": (rows[-1].contact > 0.5).tolist(),
             }
             command = self.robot.commanded if self.robot.limits is not None else None
             report |= {"command": None if command is None else command.round(4).tolist()}
         if self.ghost is not None and self.ghost.rows:
-            report["ghost"] = _figures(self.ghost)
+            report["ghost"] = _plot_values(self.ghost)
         self._page.send(report=report)
 
     def _handle_messages(self) -> None:
-        """Do what the page asked for since the last control step."""
-        # No more than a second's worth of one tab, so that a flood can't hold up the robot.
+        """Handle the messages received since the last control step."""
+        # A limited number, about one second of messages from a tab, so that a flood can't stall the simulation.
         for _ in range(50):
             try:
                 message = self._page.inbox.get_nowait()
@@ -281,9 +281,9 @@ class DrivePage:
                     self._send_options()
 
     def _handle(self, message: DriveMessage | None) -> None:
-        """Do what a message asks for; None: the tab that drives was closed."""
+        """Handle a message from a tab; None means that the controlling tab was closed."""
         if message is None:
-            self._command(STAND)
+            self._command(STAND_COMMAND)
             return
         if message.command is not None:
             self._command(message.command)
@@ -299,7 +299,7 @@ class DrivePage:
             self._restart()
         if message.speed is not None:
             if message.speed not in SPEEDS:
-                raise SurefootError(f"speed must be {choices(map(str, SPEEDS))}")
+                raise SurefootError(f"speed must be one of {choices(map(str, SPEEDS))}")
             self.speed = message.speed
         if message.record is not None:
             self._record(message.record)
@@ -313,13 +313,13 @@ class DrivePage:
 
     def _push(self, force: float, degrees: float, duration: float) -> None:
         if duration not in _PUSH_DURATIONS:
-            raise SurefootError(f"a push lasts {choices(map(str, _PUSH_DURATIONS))} s")
+            raise SurefootError(f"the duration of a push must be one of {choices(map(str, _PUSH_DURATIONS))} s")
         direction = np.radians(degrees)
         for robot in self._robots:
             robot.push([force * np.cos(direction), force * np.sin(direction), 0.0], duration)
 
     def _set(self, name: str, value: float) -> None:
-        for robot in reversed(self._robots):  # what the ghost refuses is not set at all
+        for robot in reversed(self._robots):  # the ghost first: if it rejects the value, nothing changes
             robot.set(name, value)
         self._settings[name] = value
         self._page.send(done=[name, value])
@@ -338,7 +338,7 @@ class DrivePage:
         if kind not in KINDS:
             self._load_chosen("terrain", kind)
             return
-        size = _FIRST_SIZES[kind] if size is None else size
+        size = _DEFAULT_SIZES[kind] if size is None else size
         check_size(kind, size)
         self._load_chosen("terrain", f"{kind}:{size:g}")
 
@@ -349,7 +349,7 @@ class DrivePage:
         self._load_chosen(what, value)
 
     def _load_chosen(self, what: str, value: str) -> None:
-        """Load another policy, world, terrain or ghost; commands and what the sliders set stay."""
+        """Load another policy, world, terrain or ghost; the command and parameters set on the page are kept."""
         self._record(False)
         command = self.robot.commanded
         names = {"policy": self.policy, "world": self.world, "terrain": self.terrain, "ghost": self.ghost_policy}
@@ -381,16 +381,16 @@ class DrivePage:
 
 
 def _terrains() -> dict[str, Any]:
-    """Return kinds of terrain for the page: unit and meaning of the size, least, greatest, step and first size."""
+    """Return the kinds of terrain for the page: unit, meaning, minimum, maximum, step and initial value of the size."""
     kinds: dict[str, Any] = {"flat": None}
     for name, kind in KINDS.items():
         step = kind.multiple or _SIZE_STEPS[kind.unit]
-        kinds[name] = [kind.unit, kind.meaning, *kind.range, step, _FIRST_SIZES[name]]
+        kinds[name] = [kind.unit, kind.meaning, *kind.range, step, _DEFAULT_SIZES[name]]
     return kinds
 
 
-def _figures(robot: DrivenRobot) -> dict[str, Any]:
-    """Return the figures of a robot for the plots."""
+def _plot_values(robot: DrivenRobot) -> dict[str, Any]:
+    """Return the values of a robot for the page's plots."""
     rows = robot.rows
     count = min(len(rows), max(round(_MEAN_SPEED_TIME / robot.step_time), 1))
     recent = [rows[-k] for k in range(1, count + 1)]

@@ -1,6 +1,6 @@
-"""Recordings of the drive page: traces in a folder, and pages and videos that `surefoot show` makes of them.
+"""Recordings of the drive page: traces, and pages and videos of them made by `surefoot show`.
 
-A trace is written while it is recorded: of a page that is killed, all but the last moments remain (.npz.partial).
+A trace is written during the recording (.npz.partial), so that only its last moments are lost if the page is killed.
 """
 
 from __future__ import annotations
@@ -23,24 +23,24 @@ if TYPE_CHECKING:
     from surefoot.evaluation.command_runs import DrivenRecording, DrivenRobot
 
 KINDS = ("html", "mp4")
-"""What can be made of a recorded trace."""
+"""File types to which a recorded trace can be exported."""
 _NICENESS = 10
-"""Niceness of the process that makes it: the simulation goes first."""
+"""Niceness of the export process, so that the simulation has priority."""
 
 
 class DriveRecordings:
-    """Records driven robots, one recording at a time.
+    """Recorder of simulated robots, one recording at a time.
 
     Args:
-        folder: where files are written; it is made when it is needed.
+        folder: folder for files; it is created when necessary.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.files: dict[str, Path] = {}
-        """Files of the last recording, by kind: npz, ghost (the ghost's trace), html and mp4."""
+        """Files of the last recording, by type: npz, ghost (trace of the ghost), html and mp4."""
         self.error = ""
-        """What went wrong; who reports it sets it back."""
+        """Error message, which is cleared by the caller that reports it."""
         self._recordings: list[tuple[TraceFile, DrivenRecording]] = []
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[str] | None = None
@@ -48,14 +48,14 @@ class DriveRecordings:
 
     @property
     def is_recording(self) -> bool:
-        """Whether a recording goes on."""
+        """Whether a recording is running."""
         return bool(self._recordings)
 
     def start(self, robots: dict[str, DrivenRobot]) -> None:
-        """Record robots, by names of their policies, from now on.
+        """Start recording robots, given by the names of their policies.
 
         Raises:
-            SurefootError: the last recording is still being written, or the folder can't be written.
+            SurefootError: the last recording is still being written, or the folder is not writable.
         """
         if self._thread is not None or self._process is not None:
             raise SurefootError("the last recording is still being written; record again in a moment")
@@ -69,7 +69,7 @@ class DriveRecordings:
             self._recordings.append((file, recording))
 
     def stop(self) -> None:
-        """End the recording and write its traces, in a thread."""
+        """End the recording, and write its traces in a thread."""
         recordings, self._recordings = self._recordings, []
         for _, recording in recordings:
             recording.end("stopped")
@@ -90,17 +90,17 @@ class DriveRecordings:
                 self.files[kind] = file.path
 
     def export(self, kind: str) -> None:
-        """Make a page or a video of the last recording, in a process.
+        """Export the last recording to a page or a video, in a separate process.
 
         Raises:
-            SurefootError: no such kind, no recording, or one that is being made.
+            SurefootError: an unknown file type, no recording, or an export that is still running.
         """
         if kind not in KINDS:
             raise SurefootError(f"a recording is exported as {choices(KINDS)}")
         if "npz" not in self.files or self._thread is not None:
             raise SurefootError("there is no recording to export")
         if self._process is not None:
-            raise SurefootError(f"the {self._kind} is still being made")
+            raise SurefootError(f"the {self._kind} file is still being written")
         out = self.files["npz"].with_suffix(f".{kind}")
         traces = [self.files[name] for name in ("npz", "ghost") if name in self.files]
         words = [*map(str, traces if kind == "html" else traces[:1]), "--robot", str(self._robot.folder)]
@@ -111,9 +111,9 @@ class DriveRecordings:
             os.setpriority(os.PRIO_PROCESS, self._process.pid, _NICENESS)
 
     def update(self) -> None:
-        """Notice what has ended: the recorded episode, the files that are written."""
+        """Handle the end of the recorded episode, of the writing thread and of the export process."""
         if self._recordings and (ended := self._recordings[0][1].ended):
-            self._note = {"fall": "the robot fell", "time": f"it is {MAX_RECORDING:g} s long"}.get(ended, "")
+            self._note = {"fall": "the robot fell", "time": f"it reached {MAX_RECORDING:g} s"}.get(ended, "")
             self.stop()
         if self._thread is not None and not self._thread.is_alive():
             self._thread = None
@@ -123,11 +123,11 @@ class DriveRecordings:
                 self.files[self._kind] = self.files["npz"].with_suffix(f".{self._kind}")
             else:
                 last = (output.strip().splitlines() or ["its process ended"])[-1].removeprefix("surefoot: error: ")
-                self.error = f"the {self._kind} was not made: {last[:200]}"
+                self.error = f"the {self._kind} file was not written: {last[:200]}"
             self._process = None
 
     def report(self) -> dict[str, Any]:
-        """Return the state for the page."""
+        """Return the state of the recording for the page."""
         if self._recordings:
             return {"on": True, "duration": round(self._recordings[0][1].duration, 1), "limit": MAX_RECORDING}
         if not self.files:
@@ -141,7 +141,7 @@ class DriveRecordings:
         }
 
     def close(self) -> None:
-        """Write a recording that goes on; end a process that makes a page or video."""
+        """Finish a running recording, and end the export process."""
         if self._recordings:
             self.stop()
         if self._thread is not None:

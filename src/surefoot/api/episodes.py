@@ -1,4 +1,4 @@
-"""Table, figures and video of episodes."""
+"""Tables, figures and videos of episodes."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ if TYPE_CHECKING:
 
 
 def draw_episode(folder: Path, trace: EpisodeTrace, robot: RobotDescription) -> list[Path]:
-    """Draw a footfall diagram and a plot of an episode; return the files."""
+    """Draw a footfall diagram and a plot of an episode; return the written files."""
     import numpy as np
 
     from surefoot.report.figures.runs import episode_plot, footfall_diagram
 
     plot = episode_plot(trace, robot, folder / "episode.png")
-    # Without switches in the feet footfalls can't be measured.
+    # Without foot contact sensors footfalls can't be measured.
     if np.isnan(trace.foot_contact).any():
         return [plot]
     return [footfall_diagram(trace, folder / "footfalls.png"), plot]
 
 
 def print_summaries(summaries: dict[str, dict[str, Any]], reward: Mapping[str, float] | None = None) -> None:
-    """Print the figures of evaluations, a column for each; and lines about motors and a robot that only stands.
+    """Print the metrics of evaluations, one column per evaluation, and notes on saturated motors or a standing robot.
 
     Args:
-        summaries: figures by the name of the evaluation.
-        reward: weights of the training's reward terms, which say why a robot stands.
+        summaries: metrics, by name of the evaluation.
+        reward: weights of the training's reward terms, which explain why a robot only stands.
     """
     from surefoot.tables import print_table
 
@@ -44,50 +44,54 @@ def print_summaries(summaries: dict[str, dict[str, Any]], reward: Mapping[str, f
 
 
 def standing_note(summary: dict[str, Any], reward: Mapping[str, float]) -> str | None:
-    """Return a line that says why a policy stands that should walk, by the terms of its reward."""
-    from surefoot.evaluation.footfalls import STANDS
+    """Return a note that explains, by its reward terms, why a policy only stands; None if it does not, or should."""
+    from surefoot.evaluation.footfalls import STANDING_REASON
 
-    asked = summary.get("rmse", {}).get("forward")
-    if summary.get("gait_reason") != STANDS or not reward or (asked is not None and asked < _ASKED):
+    error = summary.get("rmse", {}).get("forward")
+    if (
+        summary.get("gait_reason") != STANDING_REASON
+        or not reward
+        or (error is not None and error < _MIN_STANDING_ERROR)
+    ):
         return None
     terms = [f"{name} {weight:g}" for name, weight in sorted(reward.items(), key=lambda one: -one[1]) if weight]
     return (
-        f"it learned to stand: moving costs more than it earns ({', '.join(terms)}); weigh the costs less, or what "
-        "moving earns more; see docs/troubleshooting.md"
+        f"the policy learned to stand: moving costs more reward than it earns ({', '.join(terms)}); reduce the weights "
+        "of costs, or increase those of progress; see docs/troubleshooting.md"
     )
 
 
 def summary_rows(summaries: dict[str, dict[str, Any]]) -> list[dict[str, str]]:
-    """Return the figures of one evaluation or more as text: a row a measure, a column an evaluation."""
+    """Return the metrics of evaluations as text, one row per metric and one column per evaluation."""
     columns = {name: _summary_texts(summary) for name, summary in summaries.items()}
-    measures = next(iter(columns.values()))
-    return [{"": measure} | {name: texts[measure] for name, texts in columns.items()} for measure in measures]
+    metrics = next(iter(columns.values()))
+    return [{"": metric} | {name: texts[metric] for name, texts in columns.items()} for metric in metrics]
 
 
 def saturation_note(summary: dict[str, Any]) -> str | None:
-    """Return a line that names the motor that is longest at its limit, if that limits the gait."""
-    from surefoot.evaluation.runs import SATURATION
+    """Return a note on the motor that is saturated for the longest time, if motors limit the gait; else None."""
+    from surefoot.evaluation.runs import MIN_LIMITING_SATURATION
 
-    shares = {name: share for name, share in summary["saturation"].items() if share is not None}
-    worst = max(shares, key=lambda name: shares[name], default=None)
-    if worst is None or shares[worst] < SATURATION:
+    fractions = {name: value for name, value in summary["saturation"].items() if value is not None}
+    worst = max(fractions, key=lambda name: fractions[name], default=None)
+    if worst is None or fractions[worst] < MIN_LIMITING_SATURATION:
         return None
-    count = sum(share >= SATURATION for share in shares.values()) - 1
-    others = f", {count} more in over {SATURATION:.0%}" if count else ""
+    count = sum(value >= MIN_LIMITING_SATURATION for value in fractions.values()) - 1
+    others = f", and {count} more motors for over {MIN_LIMITING_SATURATION:.0%}" if count else ""
     return (
-        f"motors limit this gait: {worst} is at its limit in {shares[worst]:.0%} of the time{others}; "
-        "surefoot robot check says what torque a trot asks for"
+        f"motors limit this gait: {worst} is at its limit for {fractions[worst]:.0%} of the time{others}; "
+        "surefoot robot check computes the torque that a trot requires"
     )
 
 
-_ASKED = 0.05
-"""Error of the speed forward [m/s] of a robot that stands although it is to move."""
+_MIN_STANDING_ERROR = 0.05
+"""RMSE of the forward velocity [m/s] from which a standing robot was commanded to move."""
 
 
 def _tracking_texts(summary: dict[str, Any]) -> dict[str, str]:
-    """Return the errors of following commands as text, where there were commands."""
+    """Return the command tracking errors as text; empty without commands."""
     texts = {}
-    for key, label in (("rmse", "RMSE"), ("rmse_stride", "RMSE over strides")):
+    for key, label in (("rmse", "RMSE"), ("rmse_stride", "stride-averaged RMSE")):
         if key in summary:
             parts = [f"{'-' if x is None else format(x, '.3f')} {COMMANDS[name]}" for name, x in summary[key].items()]
             texts[f"{label}: {', '.join(COMMANDS).replace('_', ' ')}"] = ", ".join(parts)
@@ -95,7 +99,7 @@ def _tracking_texts(summary: dict[str, Any]) -> dict[str, str]:
 
 
 def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
-    """Return the figures of an evaluation as text, by what they measure."""
+    """Return the metrics of an evaluation as text, by name."""
 
     def text(key: str, unit: str, deviation: str = "") -> str:
         value = summary[key]
@@ -109,13 +113,13 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
         if summary.get(name):
             falls += f", {summary[name]} {name}"
     duty, phases = summary["duty_factor"], summary["phases"]
-    # How it follows its commands is what a steered policy is measured by.
-    followed = _tracking_texts(summary)
-    followed |= {"kept up with commands": f"{summary['success']:.2f}"} if "success" in summary else {}
-    shares = [share for share in summary.get("saturation", {}).values() if share is not None]
+    # Command tracking comes first: it is the aim of a policy with commands.
+    tracking = _tracking_texts(summary)
+    tracking |= {"success": f"{summary['success']:.2f}"} if "success" in summary else {}
+    saturation = [value for value in summary.get("saturation", {}).values() if value is not None]
     texts = {
         "falls": falls,
-        **followed,
+        **tracking,
         "steps": f"{summary['steps_mean']:.1f}",
         "speed": text("speed_mean", "m/s", "speed_std"),
         "power": text("power_mean", "W"),
@@ -124,8 +128,8 @@ def _summary_texts(summary: dict[str, Any]) -> dict[str, str]:
         "drift": text("drift_mean", "m"),
         "cost of transport": text("cost_of_transport_mean", ""),
         "heat of the hottest motor": _hottest_text(summary),
-        "motors at their limit": f"{max(shares):.0%} of the time, the most of any motor" if shares else "-",
-        # Without any duty factor footfalls were not measured.
+        "saturation of the worst motor": f"{max(saturation):.0%} of the time" if saturation else "-",
+        # Without duty factors, footfalls were not measured.
         "gait": _gait_text(summary) if any(value is not None for value in duty.values()) else "-",
     }
     for leg in duty:
@@ -140,43 +144,43 @@ def _hottest_text(summary: dict[str, Any]) -> str:
 
 
 def _gait_text(summary: dict[str, Any]) -> str:
-    """Return the name of a gait; of one that has none, the reason."""
-    from surefoot.evaluation.footfalls import STANDS
+    """Return the name of a gait, or the reason why it has none."""
+    from surefoot.evaluation.footfalls import STANDING_REASON
 
     reason = summary.get("gait_reason", "")
     if summary["gait"] != "other" or not reason:
         return str(summary["gait"])
-    return f"{'stands' if reason == STANDS else 'other'}: {reason}"
+    return f"{'stands' if reason == STANDING_REASON else 'other'}: {reason}"
 
 
 def film(robot: RobotDescription, trace: EpisodeTrace, path: Path, ground: Ground | None = None) -> Path:
-    """Write a video (.mp4) of a trace on a ground, the trace's if None; return its path."""
-    from surefoot.evaluation.recorded import ground_of
+    """Write a video (.mp4) of a trace; return its path. The ground defaults to the trace's."""
+    from surefoot.evaluation.recorded import ground_for_trace
     from surefoot.report.drawing.renderer import Camera
     from surefoot.report.drawing.scene import extent, trace_poses
     from surefoot.report.drawing.video import render_video
 
     parts, poses = robot.appearance(), trace_poses(robot, trace)
-    camera, ground = Camera.for_robot(extent(robot)), ground or ground_of(trace)
+    camera, ground = Camera.for_robot(extent(robot)), ground or ground_for_trace(trace)
     text = captions(trace)
     return render_video(parts, poses, trace.time, path, overlay=text, follow=robot.base, camera=camera, ground=ground)
 
 
 def captions(trace: EpisodeTrace) -> list[str]:
-    """Return a text for each control step of a trace: policy, world, and speed over the last half second.
+    """Return one caption per control step of a trace: policy, world, and speed over the last half second.
 
-    Of a robot that is steered, the command, and its speeds forward and to the left and yaw rate.
+    With velocity commands, the caption contains the command and the measured velocities (forward, left, yaw rate).
     """
     import numpy as np
 
     from surefoot.evaluation.statistics import decimal
-    from surefoot.evaluation.tracking import motion
+    from surefoot.evaluation.tracking import measured_velocity
 
     half, steered = max(round(0.5 / trace.meta["control_step"]), 1), bool(np.isfinite(trace.command).any())
     terrain = trace.meta["terrain"]
     place = str(trace.meta["world"]) + ("" if terrain == "flat" else f" on {terrain}")
     lines = []
-    velocity = motion(trace) if steered else np.zeros((trace.num_steps, 3))
+    velocity = measured_velocity(trace) if steered else np.zeros((trace.num_steps, 3))
     for step, time in enumerate(trace.time):
         start = max(step + 1 - half, 0)
         moved = trace.base_position_world[step + 1, 0] - trace.base_position_world[start, 0]

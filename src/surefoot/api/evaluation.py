@@ -1,4 +1,4 @@
-"""Evaluations, as `import surefoot` and the commands run them: policies under conditions, measured."""
+"""Evaluation of policies under conditions, shared by `import surefoot` and the commands."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def run_evaluation(policy: Policy, episodes: int, world: str, seed: int, threads: int = 0) -> Evaluation:
-    """Run a policy on its task with a progress bar, and measure it."""
+    """Run a policy on its task with a progress bar, and compute its metrics."""
     title = f"{episodes} episodes"
     traces = run_policy(policy.controller, policy.task, episodes, world, seed, threads, policy.name, title)
     return Evaluation.from_traces(traces, policy.robot)
@@ -35,24 +35,22 @@ def run_conditions(
     seed: int,
     threads: int = 0,
 ) -> Iterator[tuple[Candidate, Condition, list[EpisodeTrace]]]:
-    """Run every policy under every condition, each with a progress bar.
+    """Run every policy under every condition, each with a progress bar; yield the traces.
 
     Args:
-        candidates: the policies.
-        conditions: what differs from the policies' tasks, one condition after the other.
-        robot: the policies'.
-        episodes: of each policy under each condition.
-        seed: of robots, commands and pushes, the same everywhere.
-        threads: threads of the simulation; 0: one a core.
+        candidates: policies to run.
+        conditions: changes of the policies' tasks.
+        robot: robot of the policies.
+        episodes: number of episodes per policy and condition.
+        seed: seed of robots, commands and pushes, the same for all policies and conditions.
+        threads: threads of the simulation; 0: one per core.
     """
-    for one in candidates:
+    for candidate in candidates:
+        name = candidate.name
         for condition in conditions:
-            task, title = condition.apply(one.task, robot), f"{one.name}, {condition.name}: {episodes} episodes"
-            yield (
-                one,
-                condition,
-                run_policy(one.policy, task, episodes, condition.world, seed, threads, one.name, title),
-            )
+            task, title = condition.apply(candidate.task, robot), f"{name}, {condition.name}: {episodes} episodes"
+            traces = run_policy(candidate.policy, task, episodes, condition.world, seed, threads, name, title)
+            yield candidate, condition, traces
 
 
 def compare_policies(
@@ -64,15 +62,15 @@ def compare_policies(
     seed: int,
     threads: int = 0,
 ) -> pd.DataFrame:
-    """Return the measures of policies that follow the same commands, a row a policy and condition, see `COLUMNS`."""
+    """Return the metrics of policies with the same commands, one row per policy and condition; columns as `COLUMNS`."""
     import pandas as pd
 
     from surefoot.evaluation.policy_table import measure, with_commands
 
-    told = [one._replace(task=with_commands(one.task, commands)) for one in candidates]
+    commanded = [one._replace(task=with_commands(one.task, commands)) for one in candidates]
     rows = [
         {"policy": one.name, "world": condition.world, "condition": condition.name, **measure(traces, robot.weight)}
-        for one, condition, traces in run_conditions(told, conditions, robot, episodes, seed, threads)
+        for one, condition, traces in run_conditions(commanded, conditions, robot, episodes, seed, threads)
     ]
     return pd.DataFrame(rows)
 
@@ -80,15 +78,18 @@ def compare_policies(
 def run_test_worlds(
     candidates: Sequence[Candidate], condition: Condition, robot: RobotDescription, **options: Any
 ) -> list[Sensitivity]:
-    """Run policies in test worlds around a condition, each with a progress bar; `options` as `run_sensitivity`."""
+    """Run policies in the test worlds of a sensitivity analysis around a condition, each with a progress bar.
+
+    For `options` see `run_sensitivity`.
+    """
     from surefoot.evaluation.sensitivity import run_sensitivity
 
-    make_world, most, results = find_world(condition.world), WORLDS[condition.world].robots_side_by_side, []
+    make_world, max_robots, results = find_world(condition.world), WORLDS[condition.world].robots_per_batch, []
     for one in candidates:
         task = condition.apply(one.task, robot)
         with ProgressBar(one.name) as bar:
             result = run_sensitivity(
-                one.policy, task, make_world, policy_name=one.name, robots=most, progress=bar.advance, **options
+                one.policy, task, make_world, policy_name=one.name, robots=max_robots, progress=bar.advance, **options
             )
         results.append(result)
     return results

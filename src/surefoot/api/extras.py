@@ -1,4 +1,4 @@
-"""Packages outside the bare install, and the extra of surefoot that installs each."""
+"""Optional packages, and the extras of surefoot that install them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _EXTRAS = {
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra, from the folder or file that surefoot was installed from."""
+    """Return the pip command that installs an extra, from the same source as this installation of surefoot."""
     from importlib.metadata import PackageNotFoundError, distribution
 
     try:
@@ -43,7 +43,7 @@ def install_command(extra: str) -> str:
 
 
 def describe_missing(error: ModuleNotFoundError) -> str | None:
-    """Return what to install, for a package of one of surefoot's extras that is missing; None for any other."""
+    """Return a message with the command that installs a missing optional package; None for other packages."""
     from surefoot.world.registry import WORLDS
 
     module = (error.name or "").split(".")[0]
@@ -55,7 +55,7 @@ def describe_missing(error: ModuleNotFoundError) -> str | None:
 
 
 def report_missing_extras(function: Callable[P, T]) -> Callable[P, T]:
-    """Return a function that says which extra to install where a package is missing, as the commands do."""
+    """Decorator that converts a missing optional package to a `SurefootError` with the command that installs it."""
 
     @functools.wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> T:

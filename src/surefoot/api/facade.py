@@ -1,4 +1,4 @@
-"""The functions of `import surefoot`. They call what the commands of the same names call."""
+"""Functions of `import surefoot`, which share their implementation with the commands of the same names."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
     from surefoot.robot import RobotDescription
 
 Parameters = Mapping[str, Any] | str | Path | None
-"""Physical parameters by name, or a file of a robot's (.toml, or the name of one that ships with it)."""
+"""Physical parameters by name, a parameter file (.toml), or the name of a file released with the robot."""
 
 
 @report_missing_extras
 def robots(*folders: str | Path) -> dict[str, RobotDescription]:
-    """Return descriptions of robots by name: those that ship, and those of own folders.
+    """Return the descriptions of all released robots, and of robots in given folders, by name.
 
     Raises:
-        SurefootError: a folder without a valid description.
+        SurefootError: a folder has no valid description.
     """
     from surefoot.robot import RobotDescription
 
@@ -49,24 +49,24 @@ def train(
     runs: str | Path = "runs",
     figures: bool = True,
 ) -> Run:
-    """Train a policy, as `surefoot train` does, with a progress display.
+    """Train a policy with a progress display, as `surefoot train` does.
 
     The run folder is printed first. Ctrl-C, or an interrupt of a notebook's kernel, stops after the present update with
-    a `KeyboardInterrupt`: the folder holds the newest policy then, and `surefoot train --resume` goes on.
+    a `KeyboardInterrupt`; the folder then contains the newest policy, and `surefoot train --resume` continues.
 
     Args:
-        task: name of a task, such as "trot", or a YAML file.
-        robot: name of a robot that ships, or an own robot's folder; the task's, if None.
-        steps: control steps of all robots together; the task's, if None.
-        seed: the one seed of the run; the task's, if None. The same seed gives the same policy.
-        world: name of the world, such as "mujoco" or "bullet"; the task's, if None.
-        settings: further settings as a task's file nests them, over the task's own, for example
+        task: name of a task, such as "trot", or path of a YAML file.
+        robot: name of a released robot, or folder of a robot; defaults to the task's.
+        steps: total control steps of all robots; defaults to the task's.
+        seed: seed of all random numbers of the run; defaults to the task's. The same seed gives the same policy.
+        world: name of the world, such as "mujoco" or "bullet"; defaults to the task's.
+        settings: further settings that override the task's, nested as in a task file, for example
             `{"num_envs": 64, "ppo": {"gamma": 0.98}, "task": {"reward": {"energy": -0.004}}}`.
-        runs: folder for run folders.
-        figures: evaluate the policy at the end, and write a table, figures and a video to the run folder.
+        runs: parent folder of the run folder.
+        figures: evaluate the policy after the training, and write a table, figures and a video to the run folder.
 
     Raises:
-        SurefootError: a task, robot or setting that does not exist or does not fit.
+        SurefootError: a task, robot or setting does not exist or is not valid.
     """
     if figures:
         _require_drawing()
@@ -83,7 +83,7 @@ def train(
     data = {**(settings or {}), **chosen}
     if isinstance(changes := data.get("task"), Mapping):
         changes = resolve_table(dict(changes), robot=base.task.robot)
-        for name in ("reward", "reward_limits", "params"):  # as a task's file over its base
+        for name in ("reward", "reward_limits", "params"):  # merged as in a task file with a base
             if isinstance(table := changes.get(name), Mapping):
                 changes[name] = {**getattr(base.task, name), **table}
         data["task"] = changes
@@ -116,26 +116,26 @@ def evaluate(
     terrain: str | Path = "flat",
     threads: int = 0,
 ) -> Evaluation:
-    """Run a policy in simulation and measure it, as `surefoot evaluate` does.
+    """Run a policy in simulation and compute its metrics, as `surefoot evaluate` does.
 
     Args:
-        policy: as `load` takes it.
-        episodes: how many; they run side by side.
-        world: name of the world: one of `surefoot.world.registry.WORLDS`.
+        policy: policy, run, name or path, see `load`.
+        episodes: number of episodes, which run in parallel.
+        world: name of the world, one of `surefoot.world.registry.WORLDS`.
         seed: seed of the episodes.
-        robot: another robot than the policy's own.
-        duration: of an episode [s]; the task's, if None.
-        params: physical parameters that differ from the policy's, such as `{"motor_strength": 0.8}`.
-        randomize: ranges that every episode draws its parameters from: a name such as "table1", a YAML file, or ranges
-            by name such as `{"control_latency": (0.01, 0.03)}`; nothing is drawn, if None.
-        pushes: push the robot at random, as its task says.
-        push_force: least and greatest force of pushes [N].
-        commands: file of commands to follow (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]).
-        terrain: what the robot stands on, such as "stairs:0.10", or a map of heights (.npz, .png).
-        threads: threads of the simulation; 0: one a core.
+        robot: name or folder of the robot; defaults to the policy's.
+        duration: duration of an episode [s]; defaults to the task's.
+        params: physical parameters to change, such as `{"motor_strength": 0.8}`.
+        randomize: ranges of parameters that are randomized in every episode: a name such as "table1", a YAML file, or
+            ranges by name such as `{"control_latency": (0.01, 0.03)}`. By default nothing is randomized.
+        pushes: push the robot at random times, as configured in its task.
+        push_force: minimum and maximum force of pushes [N].
+        commands: file of velocity commands (CSV: time [s], forward, sideways [m/s], yaw_rate [rad/s]).
+        terrain: terrain such as "stairs:0.10", or a height map (.npz, .png).
+        threads: threads of the simulation; 0: one per core.
 
     Raises:
-        SurefootError: a policy, world or value that does not exist or is not allowed.
+        SurefootError: a policy, world or value does not exist or is not valid.
     """
     from surefoot.api.evaluation import run_evaluation
     from surefoot.world.registry import find_world
@@ -163,22 +163,22 @@ def play(
     commands: str | Path | None = None,
     terrain: str | Path = "flat",
 ) -> Video:
-    """Run a policy once and make a video of it, which a notebook plays.
+    """Run a policy once and record a video, which a notebook plays.
 
     Args:
-        policy: as `load` takes it.
-        out: MP4 to write; if None, POLICY.mp4 here, or in a notebook a temporary file.
-        duration: how long the robot runs [s].
+        policy: policy, run, name or path, see `load`.
+        out: video (.mp4) to write; defaults to POLICY.mp4, or a temporary file in a notebook.
+        duration: duration of the run [s].
         world: name of the world.
         seed: seed of the episode.
-        robot: another robot than the policy's own.
-        params: physical parameters that differ from the policy's.
-        pushes: push the robot at random, as its task says.
-        commands: file of commands to follow.
-        terrain: what the robot stands on, as in `evaluate`.
+        robot: name or folder of the robot; defaults to the policy's.
+        params: physical parameters to change.
+        pushes: push the robot at random times, as configured in its task.
+        commands: file of velocity commands, see `evaluate`.
+        terrain: terrain, see `evaluate`.
 
     Raises:
-        SurefootError: as `evaluate`, or a file of another ending than .mp4.
+        SurefootError: see `evaluate`; or the name of the file does not end in .mp4.
     """
     _require_drawing()
     from surefoot.api.episodes import film
@@ -207,18 +207,18 @@ def drive(
     host: str | None = None,
     port: int = 0,
 ) -> Drive:
-    """Serve a page in the background, on which the robot is steered, pushed and changed; a notebook shows it.
+    """Serve a page in the background to steer, push and modify the simulated robot; a notebook embeds it.
 
     Args:
-        policy: as `load` takes it.
+        policy: policy, run, name or path, see `load`.
         world: name of the world.
-        robot: another robot than the policy's own.
-        terrain: what the robot stands on, as in `evaluate`; the page has a choice.
-        host: address to listen at for other machines; this machine only, if None.
-        port: TCP port; 0: a free one.
+        robot: name or folder of the robot; defaults to the policy's.
+        terrain: initial terrain, see `evaluate`; it can be changed on the page.
+        host: address at which other machines can open the page; by default only this machine can.
+        port: TCP port; 0 selects a free one.
 
     Raises:
-        SurefootError: as `load`, a world that does not exist, or a port that is taken.
+        SurefootError: see `load`; or the world does not exist, or the port is in use.
     """
     from surefoot.api.drive_page import DrivePage
 
@@ -236,23 +236,23 @@ def export(
     name: str | None = None,
     output: Literal["action", "feedback"] = "action",
 ) -> Policy:
-    """Write a policy of another learner as a policy file, complete for `evaluate`, `drive` and `surefoot deploy`.
+    """Export a policy trained with another library to a policy file for `evaluate`, `drive` and `surefoot deploy`.
 
-    The file's actions are compared with the model's before it is written.
+    Before the file is written, its actions are compared with the model's.
 
     Args:
-        model: a torch module that takes raw observations (N, O * history) in SI units and gives (N, A); or a model of
-            Stable-Baselines3 (PPO, A2C, SAC, TD3, DDPG), whose deterministic actions are written, with the statistics
-            of its `VecNormalize`, if it has one.
-        path: .onnx to write.
-        env: environment that the model was trained on, one robot or a batch, wrapped or not; the model's own, if None.
-        name: of the policy; the task's, if None.
-        output: what a module gives: "action", -1 to 1 between the feedback's bounds, as the environment takes them;
-            or "feedback" itself, in leg space (rad; extension of serial legs in lengths of the straight leg).
+        model: a torch module that maps raw observations (N, O * history) in SI units to outputs (N, A); or a model of
+            Stable-Baselines3 (PPO, A2C, SAC, TD3, DDPG), whose deterministic actions are exported, including the
+            statistics of its `VecNormalize`.
+        path: policy file (.onnx) to write.
+        env: environment on which the model was trained, single or vectorized, wrapped or not; defaults to the model's.
+        name: name of the policy; defaults to the task's.
+        output: output of a torch module: "action", normalized to -1 to 1 as the environment's action, or "feedback",
+            in leg space (rad; the extension of serial legs in lengths of the straight leg).
 
     Raises:
-        SurefootError: an environment of another package, a module that does not fit it, or an operator that policy
-            files can't hold.
+        SurefootError: the environment is not surefoot's, the module does not match it, or an operator is not supported
+            in policy files.
     """
     from torch import nn
 
@@ -266,7 +266,7 @@ def export(
 
         network, env = Actor(model), model.get_env() if env is None else env
     if env is None:
-        raise SurefootError("no env is given; give the environment that the module was trained on")
+        raise SurefootError("env is missing; give the environment on which the module was trained")
     batch = find_batch(env)
     contract = make_contract(batch, replace(batch.task, name=name or batch.task.name))
     return load(export_policy(network, contract, path, output, batch.robot.archive))
@@ -281,7 +281,7 @@ def _condition(
     terrain: str | Path = "flat",
     **changes: Any,
 ) -> Condition:
-    """Return what a policy is run under; `changes` are further fields of `Condition`."""
+    """Return the condition of a run; `changes` are further fields of `Condition`."""
     from surefoot.configuration import from_mapping
     from surefoot.evaluation.conditions import Condition
     from surefoot.robot.randomization import resolve_table
@@ -301,12 +301,12 @@ def _condition(
 
 
 def _require_drawing() -> None:
-    """Import what draws, so that a missing package is reported before anything is simulated."""
+    """Import the drawing packages, so that a missing one is reported before the simulation."""
     for module in ("matplotlib", "imageio_ffmpeg", "PIL"):
         import_module(module)
 
 
 def in_notebook() -> bool:
-    """Return whether this runs in the kernel of a notebook."""
+    """Return whether the code runs in a notebook's kernel."""
     shell = getattr(sys.modules.get("IPython"), "get_ipython", lambda: None)()
     return shell is not None and hasattr(shell, "kernel")

@@ -1,4 +1,4 @@
-"""Find, load and run policies that a command line names."""
+"""Find, load and run policies by name or path."""
 
 from __future__ import annotations
 
@@ -29,48 +29,47 @@ if TYPE_CHECKING:
 
 PACKAGE = Path(__file__).resolve().parents[1]
 SEARCH_PATHS = (PACKAGE / "policies", PACKAGE.parents[1] / "policies")
-"""Folders of policies that ship: of an installed package, and of the repository."""
+"""Folders of released policies: in an installed package, and in the repository."""
+
+POLICY_FILE = "policy.onnx"
+"""Name of the policy file in a run folder."""
 
 
-POLICY = "policy.onnx"
-"""The policy in a run's folder."""
-
-
-def shipped_policies() -> dict[str, Path]:
-    """Return the files of the policies that ship, by name."""
+def released_policies() -> dict[str, Path]:
+    """Return the files of the released policies, by name."""
     return {path.stem: path for folder in reversed(SEARCH_PATHS) for path in sorted(folder.glob("*.onnx"))}
 
 
 def find_policy(policy: str) -> Path:
-    """Return the file of a policy given by path, by its run's folder or by the name of one that ships.
+    """Return the file of a policy that is given by its path, its run folder or the name of a released policy.
 
     Raises:
-        SurefootError: none of them, a run without a policy, or a folder of several runs.
+        SurefootError: no such policy, a run without a policy, or a folder of several runs.
     """
-    shipped, path = shipped_policies(), Path(policy)
+    released, path = released_policies(), Path(policy)
     if path.is_file():
         return path
-    if policy in shipped:
-        return shipped[policy]
+    if policy in released:
+        return released[policy]
     if path.is_dir():
-        if (path / POLICY).is_file():
-            return path / POLICY
+        if (path / POLICY_FILE).is_file():
+            return path / POLICY_FILE
         if (path / "run.json").is_file():
-            raise SurefootError(f"run {path} has no {POLICY} yet; its first evaluation or its end writes it")
-        if runs := sorted(path.glob(f"*/{POLICY}"), key=lambda file: file.stat().st_mtime):
+            raise SurefootError(f"run {path} has no {POLICY_FILE} yet; its first evaluation writes it, or its end")
+        if runs := sorted(path.glob(f"*/{POLICY_FILE}"), key=lambda file: file.stat().st_mtime):
             raise SurefootError(
-                f"{path} is a folder of {len(runs)} runs; give one of them, the newest: {runs[-1].parent}"
+                f"{path} is a folder of {len(runs)} runs; give one of them, such as the newest: {runs[-1].parent}"
             )
-        raise SurefootError(f"folder {path} is no run: it has no {POLICY}")
-    names = suggest(policy, sorted(shipped)) if shipped else "no policies ship with this surefoot"
+        raise SurefootError(f"folder {path} is not a run: it has no {POLICY_FILE}")
+    names = suggest(policy, sorted(released)) if released else "this installation has no released policies"
     raise SurefootError(f"policy '{policy}' does not exist; {names}, or the path of a policy file or run")
 
 
 def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, RobotDescription]:
-    """Return a policy and the robot to run it on, given by name or folder; the policy's own, if None.
+    """Return a policy and its robot; `robot` is a name or folder, and defaults to the policy's.
 
     Raises:
-        SurefootError: a file that is no policy, or one for another robot.
+        SurefootError: the file is not a policy, or is for another robot.
     """
     policy = PolicyRuntime.load(path)
     description = policy.load_robot(robot)
@@ -81,19 +80,22 @@ def open_policy(path: Path, robot: str | None = None) -> tuple[PolicyRuntime, Ro
 
 
 def load_policy(path: Path, robot: str | None) -> tuple[PolicyRuntime, RobotDescription, TaskConfig]:
-    """Return a policy, the robot to simulate it on and the task it was made for.
+    """Return a policy, its robot and its task, see `open_policy`.
 
-    Control step, latencies, gains and voltage are those that the policy was trained with. Otherwise as `open_policy`.
+    The task's control step, latencies, gains and voltage are the values with which the policy was trained.
     """
     policy, description = open_policy(path, robot)
     return policy, description, task_from_contract(policy.contract, description)
 
 
 def load_gait(path: Path, robot: str | None) -> tuple[Controller, RobotDescription, TaskConfig, dict[str, str]]:
-    """Return policy, robot, task, and name and hash of the configuration, of a policy file or handcrafted gait (.yaml).
+    """Load a policy file or a handcrafted gait (.yaml).
+
+    Returns:
+        Policy, robot, task, and a dict with the policy's `name` and `config_hash`.
 
     Raises:
-        SurefootError: as `load_policy`, or a file that is no handcrafted gait.
+        SurefootError: see `load_policy`; or the file is not a handcrafted gait.
     """
     if path.suffix != ".yaml":
         policy, description, task = load_policy(path, robot)
@@ -106,7 +108,7 @@ def load_gait(path: Path, robot: str | None) -> tuple[Controller, RobotDescripti
 
 
 class Candidate(NamedTuple):
-    """A policy that is compared with others; no other one has its name."""
+    """A policy in a comparison, with a unique name."""
 
     name: str
     path: Path
@@ -115,9 +117,9 @@ class Candidate(NamedTuple):
 
 
 def load_policies(policies: Sequence[str]) -> tuple[list[Candidate], RobotDescription]:
-    """Return policies to compare, given as for `find_policy`, and the one robot that all of them are for."""
+    """Return the policies of a comparison (names or paths, see `find_policy`), and their common robot."""
     if not policies:
-        raise SurefootError("no policy is given; give one or more .onnx files, or names of policies that ship")
+        raise SurefootError("no policy is given; give one or more policy files (.onnx), or names of released policies")
     paths = [find_policy(policy) for policy in policies]
     loaded = [load_policy(path, None) for path in paths]
     names = distinct_names([policy.contract.name for policy, _, _ in loaded], [path.stem for path in paths])
@@ -125,7 +127,7 @@ def load_policies(policies: Sequence[str]) -> tuple[list[Candidate], RobotDescri
     for name, (_, other, _) in zip(names, loaded, strict=True):
         if other.name != robot.name:
             raise SurefootError(
-                f"policy '{name}' is for robot '{other.name}' and '{names[0]}' for '{robot.name}'; "
+                f"policy '{name}' is for robot '{other.name}', but '{names[0]}' is for '{robot.name}'; "
                 "policies that are compared must be for the same robot"
             )
     parts = zip(names, paths, loaded, strict=True)
@@ -133,7 +135,7 @@ def load_policies(policies: Sequence[str]) -> tuple[list[Candidate], RobotDescri
 
 
 def distinct_names(names: Sequence[str], stems: Sequence[str]) -> list[str]:
-    """Return distinct names: the stem of the policy's file for a repeated name, with a number for a repeated stem."""
+    """Make names unique: a repeated name is replaced by the stem of its file, and a repeated stem is numbered."""
     repeated = {name for name, count in Counter(names).items() if count > 1}
     chosen = [stem if name in repeated else name for name, stem in zip(names, stems, strict=True)]
     counts, taken = Counter(chosen), set(chosen)
@@ -157,14 +159,14 @@ def run_policy(
     """Run episodes of a policy in a world with a progress bar; return their traces.
 
     Args:
-        policy: the policy.
-        task: its task.
+        policy: policy to run.
+        task: task to run.
         episodes: number of episodes.
         world: name of the world.
         seed: seed of the episodes.
-        threads: threads of the simulation; 0: one a core.
+        threads: threads of the simulation; 0: one per core.
         name: name of the policy in the traces.
-        title: title of the bar; the name, if not given.
+        title: title of the progress bar; defaults to the name.
     """
     from surefoot.evaluation.rollout import run_episodes
 

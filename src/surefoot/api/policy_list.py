@@ -1,4 +1,4 @@
-"""Policies that a page offers for a robot: those of own runs, the newest first, and those that ship."""
+"""List of policies that a page offers for a robot: the user's runs, newest first, and released policies."""
 
 from __future__ import annotations
 
@@ -9,56 +9,56 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from surefoot.api.policies import SEARCH_PATHS, find_policy, shipped_policies
+from surefoot.api.policies import SEARCH_PATHS, find_policy, released_policies
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract
 from surefoot.policy.digest import check_digest
 from surefoot.policy.network import MAX_BYTES
 
 RUNS = Path("runs")
-"""Folder in which `surefoot train` makes run folders, if no other is given."""
+"""Default parent folder of the run folders of `surefoot train`."""
 MAX_RUNS = 30
-"""Most policies of own runs in a list."""
+"""Maximum number of policies of the user's runs in a list."""
 _MAX_FILES = 200
-"""Most files that are looked into for a list, the newest."""
+"""Maximum number of (newest) policy files that are read for a list."""
 
 
 class PolicyEntry(NamedTuple):
-    """A policy of a list."""
+    """A policy in the list."""
 
     name: str
-    """As `find_policy` takes it."""
+    """Name or path, for `find_policy`."""
     label: str
-    """Short name for people."""
+    """Short name for display."""
     group: str
     """Heading in the list."""
 
 
 def list_policies(policy: str, robot: str) -> list[PolicyEntry]:
-    """Return the policy that is given, then those of own runs, and those that ship, all for one robot by its name.
+    """Return the given policy, then policies of the user's runs, then released policies, all for one robot (by name).
 
-    Own runs are those below `RUNS` and beside the policy that is given.
+    The user's runs are searched in `RUNS`, and next to the given policy.
     """
     file = find_policy(policy)
-    shipped = [
+    released = [
         name
-        for name, path in sorted(shipped_policies().items())
+        for name, path in sorted(released_policies().items())
         if name == policy or (_robot_of(path) == robot and path.resolve() != file.resolve())
     ]
-    first = [] if policy in shipped else [PolicyEntry(policy, run_label(file), "given")]
-    runs = [PolicyEntry(str(path), run_label(path), "own runs, newest first") for path in _run_policies(file, robot)]
-    return [*first, *runs, *(PolicyEntry(name, name, "shipped with surefoot") for name in shipped)]
+    first = [] if policy in released else [PolicyEntry(policy, run_label(file), "selected")]
+    runs = [PolicyEntry(str(path), run_label(path), "your runs, newest first") for path in _run_policies(file, robot)]
+    return [*first, *runs, *(PolicyEntry(name, name, "released with surefoot") for name in released)]
 
 
 def run_label(path: Path) -> str:
-    """Return a short name of a policy's file: its run's folder, or folder and file."""
+    """Return a short name of a policy file: its run folder, or folder and file name."""
     path = path.resolve()
     parts = path.parent.parts if path.stem == "policy" else (*path.parent.parts, path.stem)
     return "/".join(parts[-2:])
 
 
 def _run_policies(policy: Path, robot: str) -> list[Path]:
-    """Return files of policies for a robot, the newest first, without the one that is given."""
+    """Return policy files for a robot, newest first, without the given one."""
     modified: dict[Path, float] = {}
     for path in _candidates(policy):
         with contextlib.suppress(OSError):  # a run that is being removed
@@ -77,7 +77,7 @@ def _candidates(policy: Path) -> Iterator[Path]:
 
 
 def _robot_of(path: Path) -> str:
-    """Return the name of the robot of a policy's file; empty for a file that is none."""
+    """Return the robot's name in a policy file; empty if the file is not a policy."""
     try:
         return _read_robot(path, path.stat().st_mtime_ns)
     except OSError:

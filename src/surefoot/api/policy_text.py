@@ -1,4 +1,4 @@
-"""What a policy file says, as rows of text: inputs, commands, actions, rates, gains, map and notes."""
+"""Contract of a policy file as text: inputs, commands, actions, rates, gains, height map and notes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import numpy as np
 from surefoot.policy.contract import MEMORY, Contract
 from surefoot.robot.commands import COMMANDS
 
-_NUMBERS = 4
-"""Different numbers of a list that are named; more are given as a range."""
+_MAX_LISTED = 4
+"""Maximum number of different values that are listed; more are given as a range."""
 
 
 def policy_rows(contract: Contract, path: Path) -> list[dict[str, str]]:
-    """Return what the contract of a policy file says, a row for each fact."""
+    """Return the facts in the contract of a policy file, one row each."""
     facts = {
         "policy": f"{contract.name}, {path} ({path.stat().st_size / 1024:.0f} kB)",
         "robot": f"{contract.robot}, {len(contract.motor_names)} motors: {', '.join(contract.motor_names)}",
@@ -26,7 +26,7 @@ def policy_rows(contract: Contract, path: Path) -> list[dict[str, str]]:
         "actions": _actions(contract),
         "reference": str(contract.reference.get("kind", "yes")) if contract.reference else "none",
         "control step": f"{1e3 * contract.control_step:g} ms ({1 / contract.control_step:g} Hz)",
-        "age of readings": f"{1e3 * contract.control_latency:g} ms, of the servo {1e3 * contract.servo_latency:g} ms",
+        "latency": f"policy {1e3 * contract.control_latency:g} ms, servo {1e3 * contract.servo_latency:g} ms",
         "gains": f"kp {_numbers(contract.servo_kp)}, kd {_numbers(contract.servo_kd)}",
         "rest pose": "; ".join(_numbers(values) for values in contract.rest),
         "height map": _grid(contract),
@@ -37,9 +37,9 @@ def policy_rows(contract: Contract, path: Path) -> list[dict[str, str]]:
 
 
 def _numbers(values: float | Sequence[float]) -> str:
-    """Return one number, a few different ones, or a range."""
+    """Return the different values as text: a few of them listed, or their range."""
     different = np.unique(np.round(np.atleast_1d(values), 6))
-    if len(different) > _NUMBERS:
+    if len(different) > _MAX_LISTED:
         return f"{different[0]:g} to {different[-1]:g}"
     return " and ".join(f"{value:g}" for value in different)
 
@@ -48,9 +48,7 @@ def _inputs(contract: Contract) -> str:
     width = len(contract.columns)
     text = f"{width} numbers"
     if contract.history > 1:
-        text = (
-            f"{width * contract.history} numbers: {width}, of the last {contract.history} control steps, newest first"
-        )
+        text = f"{width * contract.history} numbers: {width} of each of {contract.history} control steps, newest first"
     return text
 
 
@@ -67,16 +65,16 @@ def _commands(contract: Contract) -> dict[str, str]:
         return {"commands": "none"}
     ranges = zip(COMMANDS.items(), limits.low, limits.high, strict=True)
     texts = [f"{name.replace('_', ' ')} {low:g} to {high:g} {unit}" for (name, unit), low, high in ranges]
-    return {"commands": ", ".join(texts), "stands": f"at commands up to {_numbers(limits.deadband)}"}
+    return {"commands": ", ".join(texts), "deadband": f"commands up to {_numbers(limits.deadband)} let it stand"}
 
 
 def _actions(contract: Contract) -> str:
-    kept = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
-    count = len(contract.action_names) - kept
+    memory = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
+    count = len(contract.action_names) - memory
     first = contract.action_names[0].partition(".")[0]
     kind = {"angle": "motor angles [rad]", "joint": "joint angles [rad]"}.get(first, "coordinates of leg space")
     bounds = f"from {min(contract.low[:count]):.3g} to {max(contract.high[:count]):.3g}"
-    return f"{count} {kind}, {bounds}" + (f", and {kept} numbers of memory" if kept else "")
+    return f"{count} {kind}, {bounds}" + (f", and {memory} memory values" if memory else "")
 
 
 def _grid(contract: Contract) -> str:
@@ -84,14 +82,14 @@ def _grid(contract: Contract) -> str:
     if grid is None:
         return "none"
     places = [
-        f"{len(places)} places {where} from {places[0]:.4g} to {places[-1]:.4g} m, {places[1] - places[0]:.4g} m apart"
+        f"{len(places)} points {where} from {places[0]:.4g} to {places[-1]:.4g} m, {places[1] - places[0]:.4g} m apart"
         for where, places in (("ahead", grid.ahead), ("to the left", grid.left))
     ]
     return f"{', '.join(places)}; {1e3 * grid.age:g} ms old"
 
 
 def _adopted(contract: Contract) -> dict[str, str]:
-    """Return what is known of an adopted policy, with its notes."""
+    """Return the origin of an adopted policy, and its notes."""
     adopted = contract.figures.get("adopted")
     if not isinstance(adopted, Mapping):
         return {}

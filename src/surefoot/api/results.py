@@ -1,4 +1,4 @@
-"""What the functions of `import surefoot` return: policies, runs, evaluations, videos and pages."""
+"""Return types of `import surefoot`: policies, runs, evaluations, videos and pages."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Policy:
-    """A policy with its robot and task. Make it with `surefoot.load`."""
+    """A policy with its robot and task; `surefoot.load` returns one."""
 
     name: str
     """Name of the policy."""
     path: Path
-    """Its file."""
+    """Policy file."""
     robot: RobotDescription
-    """The robot that it runs on."""
+    """Robot on which the policy runs."""
     task: TaskConfig
-    """The task that it was trained for, on that robot."""
+    """Task for which the policy was trained, on that robot."""
     controller: Controller
-    """What computes: a `PolicyRuntime`, or a handcrafted gait."""
+    """Computation of the feedback: a `PolicyRuntime`, or a handcrafted gait."""
     config_hash: str
-    """Hash of the configuration that it was trained with."""
+    """Hash of the training configuration."""
 
     def feedback(self, observation: ArrayLike) -> Array:
-        """Return feedback (N, A) in leg space for observations (N, O * history) in SI units.
+        """Return the feedback (N, A) in leg space for observations (N, O * history) in SI units.
 
-        A policy file's columns and bounds stand in its contract: `policy.controller.contract`.
+        The columns and bounds of a policy file are in its contract, `policy.controller.contract`.
 
         Raises:
-            SurefootError: observations of another shape, or numbers that are not finite.
+            SurefootError: the observations have another shape, or are not finite.
         """
         return self.controller.feedback(observation)
 
@@ -57,25 +57,25 @@ class Policy:
 
 @dataclass(frozen=True, repr=False)
 class Run:
-    """A training that is over, or was interrupted. Its folder holds all that the command line's runs hold."""
+    """A finished or interrupted training. Its folder has the same content as a run of the command line."""
 
     path: Path
-    """The run folder."""
+    """Run folder."""
     figures: dict[str, dict[str, Any]]
-    """Figures of the policy after the training, by kind of evaluation, such as `without_pushes`; see `summarize`."""
+    """Metrics of the trained policy, by kind of evaluation, such as `without_pushes`; see `summarize`."""
 
     @property
     def policy(self) -> Policy:
-        """The best evaluated policy of the run.
+        """Best policy of the run, according to its evaluations.
 
         Raises:
-            SurefootError: the run was interrupted before it had one.
+            SurefootError: the run was interrupted before its first evaluation.
         """
         return load(self.path / "policy.onnx")
 
     @property
     def log(self) -> pd.DataFrame:
-        """A row an update: steps so far, mean return, losses; a row's `evaluation` is a dict, where there was one."""
+        """Training log, one row per update: steps, mean return, losses, and `evaluation` (a dict, if there was one)."""
         import pandas as pd
 
         from surefoot.learn.run_folder import RunFolder
@@ -91,18 +91,18 @@ class Run:
 
 @dataclass(frozen=True, repr=False)
 class Evaluation:
-    """Episodes of a policy in one world, measured."""
+    """Metrics and traces of episodes of a policy in one world."""
 
     runs: pd.DataFrame
-    """A row an episode: return, distance [m], speed [m/s], power [W], steps, fell, balanced; see `measure_runs`."""
+    """One row per episode: return, distance [m], speed [m/s], power [W], steps, fell, balanced; see `measure_runs`."""
     summary: dict[str, Any]
-    """Means, deviations, falls and gait, as JSON holds them; see `surefoot.evaluation.runs.summarize`."""
+    """Means, standard deviations, falls and gait, in the format of JSON; see `surefoot.evaluation.runs.summarize`."""
     traces: list[EpisodeTrace]
-    """What happened, an episode each, in arrays by control step; `save` writes one that `surefoot show` shows."""
+    """One trace per episode, with arrays by control step; `surefoot show` shows a trace that was saved with `save`."""
 
     @classmethod
     def from_traces(cls, traces: list[EpisodeTrace], robot: RobotDescription) -> Evaluation:
-        """Measure episodes of one policy in one world, which were run or recorded."""
+        """Compute the metrics of episodes of one policy in one world, simulated or recorded."""
         from surefoot.evaluation.runs import measure_runs, summarize
 
         return cls(measure_runs(traces), summarize(traces, robot.urdf.total_mass), traces)
@@ -119,7 +119,7 @@ class Evaluation:
 
 
 def _table(summaries: dict[str, dict[str, Any]]) -> pd.DataFrame:
-    """Return the figures of evaluations as text, a row a measure."""
+    """Return the metrics of evaluations as text, one row per metric."""
     import pandas as pd
 
     from surefoot.api.episodes import summary_rows
@@ -129,10 +129,10 @@ def _table(summaries: dict[str, dict[str, Any]]) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class Video:
-    """A video of a run; a notebook plays it."""
+    """Video of a run, which a notebook plays."""
 
     path: Path
-    """The MP4."""
+    """Video file (.mp4)."""
 
     def _repr_html_(self) -> str:
         data = base64.b64encode(self.path.read_bytes()).decode()
@@ -140,22 +140,22 @@ class Video:
 
 
 class Drive:
-    """A page on which a simulated robot is driven, served in the background until `close`, or the end of the program.
+    """Page to steer a simulated robot, served in the background until `close` or the end of the program.
 
     Args:
-        page: the simulation behind it.
-        host: address to listen at; this machine only, if None.
-        port: TCP port; 0 for a free one.
+        page: simulation behind the page.
+        host: address at which other machines can open the page; by default only this machine can.
+        port: TCP port; 0 selects a free one.
 
     Raises:
-        SurefootError: a port that can't be opened.
+        SurefootError: the port can't be opened.
     """
 
     def __init__(self, page: DrivePage, host: str | None, port: int) -> None:
         from surefoot.report.pages.server import robot_page
 
         self.page = page
-        """The simulation behind it."""
+        """Simulation behind the page."""
         self._stack = ExitStack()
         self._server, view = self._stack.enter_context(robot_page(host, port, in_notebook=True))
         self._stop = threading.Event()
@@ -193,12 +193,12 @@ def load(policy: str | Path | Run | Policy, *, robot: str | Path | None = None) 
     """Load a policy.
 
     Args:
-        policy: name of one that ships, such as "go2-steer"; a policy file (.onnx), handcrafted gait (.yaml) or run
-            folder; or a run.
-        robot: another robot of the policy's legs, by name or folder; the policy's own, if None.
+        policy: name of a released policy, such as "go2-steer"; path of a policy file (.onnx), handcrafted gait (.yaml)
+            or run folder; or a run.
+        robot: name or folder of another robot with the same kind of legs; defaults to the policy's.
 
     Raises:
-        SurefootError: no such policy, a damaged file, or a policy that does not fit the robot.
+        SurefootError: the policy does not exist, is damaged, or is not compatible with the robot.
     """
     from surefoot.api.policies import find_policy, load_gait
 

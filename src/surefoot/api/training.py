@@ -1,4 +1,4 @@
-"""One training: checks before it, its run with a progress display, and what is made of it at its end."""
+"""Run of a training: checks, progress display, and evaluation of the trained policy."""
 
 from __future__ import annotations
 
@@ -29,23 +29,23 @@ if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
 
-EPISODE = "episode.npz"
-"""File of the median episode's trace among the figures of a run."""
-_LISTED = 4
-"""Changes that a note names."""
+EPISODE_FILE = "episode.npz"
+"""Name of the median episode's trace in a run's folder of figures."""
+_MAX_LISTED_CHANGES = 4
+"""Maximum number of changes that a note lists."""
 _EPISODES = 20
 _RANDOMIZED_EPISODES = 100
-"""Episodes with randomized parameters: falls are rare there, and robots differ."""
+"""Number of episodes with randomized parameters: more, because falls are rare and robots differ."""
 
 
 def check_config(config: TrainConfig) -> None:
-    """Refuse an invalid task, or an invalid run to start from, before a run folder is made."""
+    """Check the task, and the run to start from, before a run folder is created."""
     from surefoot.learn.run_folder import RunFolder
-    from surefoot.robot.mirror import is_mirrored
+    from surefoot.robot.mirror import is_symmetric
     from surefoot.task.env import LocomotionEnv
 
     env = LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
-    if config.ppo.symmetry and is_mirrored(env.robot):
+    if config.ppo.symmetry and is_symmetric(env.robot):
         from surefoot.learn.symmetry import MirrorSamples
 
         MirrorSamples(env)
@@ -53,13 +53,13 @@ def check_config(config: TrainConfig) -> None:
         RunFolder.open(Path(config.start_from))
     elif config.task.reference.over_holes is not None:
         raise SurefootError(
-            "reference.over_holes is given, and start_from is not: what learns is the gait over holes; name the run "
-            "whose policy walks elsewhere: --start-from RUN"
+            "reference.over_holes is given, but start_from is not: only the gait over holes is learned; name the run "
+            "with the policy for other terrain: --start-from RUN"
         )
 
 
 def symmetry_note(config: TrainConfig) -> str | None:
-    """Return in one line why a robot does not learn from mirrored samples although it is asked to; None: it does."""
+    """Return a note why mirrored samples are not used although they are requested, or None."""
     if not config.ppo.symmetry:
         return None
     from surefoot.learn.symmetry import mirror_note
@@ -68,45 +68,45 @@ def symmetry_note(config: TrainConfig) -> str | None:
 
 
 def start_note(config: TrainConfig) -> str | None:
-    """Return in one line what lets actions have other effects than in the run to start from; None: nothing does."""
+    """Return a note on changes since the run to start from that change the effect of actions, or None."""
     from surefoot.learn.run_folder import RunFolder
 
     if config.start_from is None:
         return None
-    former, now = RunFolder.open(Path(config.start_from))[1].task, config.task
+    previous, task = RunFolder.open(Path(config.start_from))[1].task, config.task
     changes = [
         change
         for table in ("params", "reference")
-        for change in _changes(to_mapping(getattr(former, table)), to_mapping(getattr(now, table)), table)
+        for change in _changes(to_mapping(getattr(previous, table)), to_mapping(getattr(task, table)), table)
     ]
     if not changes:
         return None
-    more = f" and {len(changes) - _LISTED} more" if len(changes) > _LISTED else ""
+    more = f" and {len(changes) - _MAX_LISTED_CHANGES} more" if len(changes) > _MAX_LISTED_CHANGES else ""
     return (
-        f"the policy of {config.start_from} learned with another reference or other parameters, so its actions had "
-        f"other effects: {', '.join(changes[:_LISTED])}{more}"
+        f"the policy of {config.start_from} was trained with another reference or other parameters, so its actions had "
+        f"other effects: {', '.join(changes[:_MAX_LISTED_CHANGES])}{more}"
     )
 
 
-def _changes(former: Any, now: Any, name: str) -> Iterator[str]:
-    """Yield the values of a table that differ from those of a former one."""
-    if isinstance(former, dict) and isinstance(now, dict):
-        for key in former | now:
-            yield from _changes(former.get(key), now.get(key), f"{name}.{key}")
-    elif former != now:
+def _changes(old: Any, new: Any, name: str) -> Iterator[str]:
+    """Yield descriptions of the values in a table that have changed."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in old | new:
+            yield from _changes(old.get(key), new.get(key), f"{name}.{key}")
+    elif old != new:
         before, after = (
-            "not set" if value is None else "given" if isinstance(value, dict) else value for value in (former, now)
+            "not set" if value is None else "set" if isinstance(value, dict) else value for value in (old, new)
         )
         yield f"{name} {after} (was {before})"
 
 
 class TrainingProgress(ProgressBar):
-    """Bar of a run with steps a second, speed or errors of commands, and return; a line for each evaluation.
+    """Progress bar of a training with steps per second, speed or tracking errors, and return; one line per evaluation.
 
     Args:
-        config: the run.
-        console: where to show it.
-        done: control steps done before, if the run is resumed.
+        config: configuration of the run.
+        console: console of the display.
+        done: control steps done before a resumed run.
     """
 
     def __init__(self, config: TrainConfig, console: Console, done: int = 0) -> None:
@@ -115,32 +115,32 @@ class TrainingProgress(ProgressBar):
         self._start = time.monotonic()
         self._means = ""
 
-    def report(self, figures: UpdateMetrics, evaluation: TrainingEvaluation | None) -> None:
-        """Show the figures of an update."""
-        if not math.isnan(figures.return_mean):
-            self._means = f"  return {figures.return_mean:.2f}"
-            if figures.rmse is None:
-                self._means = f"  speed {figures.speed_mean:.2f} m/s{self._means}"
-        errors = "" if figures.rmse is None else f"  error {error_text(figures.rmse)}"
-        rate = (figures.steps - self._done) / (time.monotonic() - self._start)
+    def report(self, metrics: UpdateMetrics, evaluation: TrainingEvaluation | None) -> None:
+        """Show the metrics of an update, and print an evaluation if there was one."""
+        if not math.isnan(metrics.return_mean):
+            self._means = f"  return {metrics.return_mean:.2f}"
+            if metrics.rmse is None:
+                self._means = f"  speed {metrics.speed_mean:.2f} m/s{self._means}"
+        errors = "" if metrics.rmse is None else f"  error {error_text(metrics.rmse)}"
+        rate = (metrics.steps - self._done) / (time.monotonic() - self._start)
         text = f"{rate:,.0f} steps/s{errors}{self._means}"
-        left = (self._steps - figures.steps) / rate
-        line = f"{figures.steps:>9,} of {self._steps:,} steps  {text}  {left:.0f} s left"
-        self.advance(figures.steps, text, line)
+        left = (self._steps - metrics.steps) / rate
+        line = f"{metrics.steps:>9,} of {self._steps:,} steps  {text}  {left:.0f} s left"
+        self.advance(metrics.steps, text, line)
         if evaluation is not None:
-            followed = f"{evaluation.speed_mean:.2f} m/s"
+            speed_or_error = f"{evaluation.speed_mean:.2f} m/s"
             if evaluation.rmse is not None:
-                followed = f"error {error_text(evaluation.rmse)}"
+                speed_or_error = f"error {error_text(evaluation.rmse)}"
             pushed = f", {evaluation.pushed_falls} with pushes" if evaluation.pushed_falls else ""
             self.print(
-                f"{evaluation.steps:>9,} steps, evaluated: {followed}, "
+                f"{evaluation.steps:>9,} steps, evaluated: {speed_or_error}, "
                 f"return {evaluation.return_mean:.2f}, {evaluation.power_mean:.0f} W, {evaluation.falls} falls{pushed}",
                 "evaluation",
             )
 
 
 def error_text(rmse: Mapping[str, float | None]) -> str:
-    """Return errors of commands as text, such as `0.05, 0.02 m/s, 0.11 rad/s`."""
+    """Return tracking errors as text, such as `0.05, 0.02 m/s, 0.11 rad/s`."""
     *speeds, rate = ("-" if value is None else f"{value:.2f}" for value in rmse.values())
     return f"{', '.join(speeds)} m/s, {rate} rad/s"
 
@@ -154,41 +154,41 @@ def run_training(
     watch: Callable[[TrainingLoop], AbstractContextManager[Callable[[], None]]] | None = None,
     figures: bool = True,
 ) -> dict[str, dict[str, Any]] | None:
-    """Train in a run's folder with a progress display, and evaluate the policy at the end.
+    """Train in a run folder with a progress display, and evaluate the policy at the end.
 
-    SIGINT or SIGTERM stops after the present update, a second one at once.
+    SIGINT or SIGTERM stops the training after the present update, a second one immediately.
 
     Args:
-        folder: the run's folder.
-        console: where to show it.
-        resume: continue from the folder's last checkpoint, else train from the beginning.
+        folder: run folder.
+        console: console of the display.
+        resume: continue from the folder's last checkpoint instead of the beginning.
         logger: see `open_writer`.
-        watch: shows the training; gives what is called after every update.
+        watch: context manager that shows the training, and yields a function to call after every update.
         figures: evaluate the policy and write table, figures and video, see `finish_run`.
 
     Returns:
-        what `finish_run` returns, empty without figures; None if the training was stopped.
+        Result of `finish_run`, empty without figures; None if the training was stopped.
     """
     from surefoot.learn.folder_lock import folder_lock
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
 
-    # Configurations name copies in the folder: what they were copied from may change or go.
+    # The folder's configuration refers to copies in the folder, since the original files may change or disappear.
     folder, config = RunFolder.open(folder.path)
 
     def stop(count: int) -> None:
         if count == 2:
             raise KeyboardInterrupt
         if count == 1:
-            console.print("Stopping after this update; once more stops at once, back at the last checkpoint.")
+            console.print("Stopping after this update; press Ctrl-C again to stop immediately, at the last checkpoint.")
 
     with folder_lock(folder.path):
         make_loop = TrainingLoop.resume if resume else TrainingLoop.create
         loop = make_loop(config, folder, find_world(config.world), logger)
-        console.print(f"{'Going on with' if resume else 'Training'} {config.task.name} in {folder.path}")
+        console.print(f"{'Resuming' if resume else 'Training'} {config.task.name} in {folder.path}")
         with ExitStack() as stack:
             progress = stack.enter_context(TrainingProgress(config, console, loop.learner.steps))
-            # Only the main thread has signals.
+            # Only the main thread receives signals.
             signals = ("SIGINT", "SIGTERM") if threading.current_thread() is threading.main_thread() else ()
             stops = stack.enter_context(StopSignals(signals, stop))
             show = stack.enter_context(watch(loop)) if watch else None
@@ -201,7 +201,7 @@ def run_training(
             try:
                 loop.run(report, lambda: stops.count > 0)
             except KeyboardInterrupt:
-                console.print("Stopped at once; what was saved last remains.")
+                console.print("Stopped immediately; the last checkpoint is kept.")
                 return None
             if not loop.finished:
                 console.print(f"Stopped and saved at {loop.learner.steps:,} steps.")
@@ -213,17 +213,17 @@ def run_training(
 
 
 def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], None]) -> dict[str, dict[str, Any]]:
-    """Export the best policy and evaluate it: on the nominal robot, and with randomization and pushes if the task has.
+    """Export the best policy; evaluate it on the nominal robot, and with the task's randomization and pushes, if any.
 
-    Tables, figures and a video of the median episode go to the run folder.
+    Tables, figures and a video of the median episode are written to the run folder.
 
     Args:
-        loop: the training that is over.
+        loop: finished training.
         folder: its run folder.
-        report: called with a line before each long step.
+        report: function that is called with a line before each long step.
 
     Returns:
-        what `summarize` returns, by kind of evaluation.
+        Metrics (see `summarize`), by kind of evaluation.
     """
     from surefoot.evaluation.conditions import Condition
     from surefoot.evaluation.rollout import run_episodes
@@ -259,7 +259,7 @@ def finish_run(loop: TrainingLoop, folder: RunFolder, report: Callable[[str], No
     episodes = sorted(traces["without_pushes"], key=lambda trace: trace.base_position_world[-1, 0])
     median = episodes[len(episodes) // 2]
     draw_episode(figures, median, robot)
-    # That of the median's environment, whose seed it has.
+    # The ground of the median episode's environment.
     film(robot, median, figures / "video.mp4", task.terrain.build(0).ground)
-    median.save(figures / EPISODE)
+    median.save(figures / EPISODE_FILE)
     return summaries

@@ -1,1 +1,1 @@
-"""The command line: one small module a command, and the only place where everything is wired."""
+"""Command line: one module per command. Only here are all packages connected."""

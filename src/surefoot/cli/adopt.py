@@ -1,4 +1,4 @@
-"""`surefoot adopt`: bring in a policy that others trained."""
+"""`surefoot adopt`: convert a third-party policy to a policy file."""
 
 from __future__ import annotations
 
@@ -14,43 +14,44 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
-Range = tuple[float, float]
+Interval = tuple[float, float]
 
 
 @dataclass(frozen=True)
 class AdoptCommand:
-    """Write a policy of another framework as a policy file that every command takes.
+    """Convert a policy of another framework to a policy file that all commands accept.
 
-    Order, signs, scales, clips, offsets and histories of its observation become part of the network; the contract says
-    raw readings in SI units in and motor angles out. Nothing of the files is executed before it was checked.
+    The order, signs, scales, clipping limits, offsets and history of its observation become part of the network, so
+    that the policy file takes raw sensor readings in SI units and returns motor angles. Files are checked before
+    anything in them is executed.
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Its network: ONNX (.onnx), or TorchScript (.pt), which needs torch."""
+    """Network of the policy: ONNX (.onnx), or TorchScript (.pt), which requires torch."""
     format: Annotated[Literal["rl_sar", "unitree_rl_lab", "mjlab", "legged_gym", "manual"], tyro.conf.arg(name="from")]
-    """What its configuration is written for."""
+    """Framework for which its configuration is written."""
     out: Path
     """Policy file to write (.onnx)."""
     robot: str
-    """Name or folder of the robot's description."""
+    """Name of a released robot, or the folder of a robot."""
     config: Path | None = None
-    """Its configuration; the format's usual name beside FILE, if not given."""
-    forward: Range | None = None
-    """Speeds forward that may be commanded [m/s]; as the files say, else -.5 to 1."""
-    sideways: Range | None = None
-    """Speeds to the left [m/s]; as the files say, else -.4 to .4."""
-    yaw_rate: Range | None = None
-    """Yaw rates [rad/s]; as the files say, else -.8 to .8."""
+    """Configuration of the policy. Defaults to the framework's usual file name in the folder of FILE."""
+    forward: Interval | None = None
+    """Range of the forward velocity command [m/s]. Defaults to the files, or else -0.5 to 1."""
+    sideways: Interval | None = None
+    """Range of the sideways velocity command [m/s], left positive. Defaults to the files, or else -0.4 to 0.4."""
+    yaw_rate: Interval | None = None
+    """Range of the yaw rate command [rad/s]. Defaults to the files, or else -0.8 to 0.8."""
     kp: float | None = None
-    """Proportional gain of all joints [N m/rad], in place of the files'."""
+    """Proportional gain of all joints [N m/rad]. Defaults to the gains in the files."""
     kd: float | None = None
-    """Derivative gain of all joints [N m s/rad], in place of the files'."""
+    """Derivative gain of all joints [N m s/rad]. Defaults to the gains in the files."""
     control_step: float | None = None
-    """Time between two actions [s], in place of the files'."""
+    """Time between two actions [s]. Defaults to the value in the files."""
     latency: float | None = None
-    """Age of the readings in training [s]; the robot's nominal one, if not given."""
+    """Age of the sensor readings during training [s]. Defaults to the robot's nominal latency."""
     trust: bool = False
-    """Load TorchScript with all your rights, where the machine can't make a process without any."""
+    """Load TorchScript with all your privileges if this machine does not support a sandbox."""
     json: Json = False
 
 

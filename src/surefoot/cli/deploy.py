@@ -1,7 +1,7 @@
 """`surefoot deploy POLICY --port P`: run a policy on a robot.
 
-Exit codes: 0 done, or stopped by the operator; 2 refused before anything moved; 3 ended by safety, the robot's or this
-computer's, or the run's trace was lost.
+Exit codes: 0: completed, or stopped by the operator; 2: rejected before anything moved; 3: ended by a safety limit of
+the robot or of this computer, or the trace was lost.
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
 
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import (
@@ -35,46 +37,56 @@ if TYPE_CHECKING:
     from surefoot.deploy.messages import Handshake
     from surefoot.deploy.pacer import LoopTiming
     from surefoot.deploy.run_saver import SavedRun
+    from surefoot.robot import RobotDescription
 
-_DRIVEN = 600.0
-"""Length of a run that is driven from the page [s], if none is given."""
-SAFETY = 3
-"""Exit code of a run that safety ended."""
+_BROWSER_DURATION = 600.0
+"""Default duration of a run with --browser [s]."""
+SAFETY_STOP = 3
+"""Exit code of a run that was ended by a safety limit."""
 
 
 @dataclass(frozen=True)
 class DeployCommand(LinkOptions):
-    """Run a policy on a robot: check it, arm, stand up, run, sit down, disarm, and record what happened.
+    """Run a policy on a robot: check, arm, stand up, run, sit down and disarm, and record a trace.
 
-    Ctrl-C lets the robot sit and disarms it; Ctrl-C once more damps its motors at once. Exit codes: 0 done or stopped
-    by the operator, 2 refused before anything moved, 3 ended by safety or the trace was lost.
+    Ctrl-C makes the robot sit down and disarms it; a second Ctrl-C damps the motors immediately. Exit codes: 0:
+    completed, or stopped by the operator; 2: rejected before anything moved; 3: ended by a safety limit, or the trace
+    was lost.
     """
 
     policy: PolicyName
     duration: Duration | None = None
-    """Time for which the policy runs [s]; its episode's or, if longer, that of --commands' file, if not given."""
+    """Duration of the run [s]. Defaults to the policy's episode or the --commands file, whichever is longer."""
     episodes: Count = 1
-    """How many episodes, one after another; the robot sits in between."""
+    """Number of runs in sequence; the robot sits down between them."""
     out: Path | None = None
-    """Folder for traces (run_000.npz and so on); `deploy`, if not given. A dry run keeps none if this is not given."""
+    """Folder for traces (run_000.npz and so on). Defaults to deploy; a dry run writes traces only with --out."""
     dry_run: bool = False
-    """Do everything but arm the robot: states are read and commands computed, none is sent."""
+    """Read states and compute commands, but neither arm the robot nor send commands."""
     json: Json = False
     plugin: PluginNames = ()
-    commands: str | None = None
-    """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate), keyboard, gamepad, or the
-    number of a UDP port on this computer; without it such a robot stands."""
+    commands: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help="Source of velocity commands: a file (CSV: time, forward, sideways, yaw_rate), keyboard, gamepad, or "
+            "a UDP port number of this computer. Without it the command is zero.",
+        ),
+    ] = None
     height_map: MapPort = None
-    """UDP port of this computer at which a program sends the heights of the ground, for a policy that sees them."""
-    browser: bool = False
-    """Show the robot on a page in the browser, and take commands from there. The run lasts ten minutes, if no
-    --duration is given. Without commands for a second, as when the tab is closed, the robot stands; if the page's
-    process ends, the robot sits down and is disarmed."""
+    """UDP port of this computer that receives the height map, for a policy with a height map in its observation."""
+    browser: Annotated[
+        bool,
+        tyro.conf.arg(
+            help="Show the robot on a page in the browser, and take velocity commands from there. The default duration "
+            "is then ten minutes. The command becomes zero one second after the last command of the page, such as when "
+            "its tab is closed. If the page's process ends, the robot sits down and is disarmed.",
+        ),
+    ] = False
     page_port: PagePort = PAGE_PORT
     motion_capture: Path | None = None
-    """Motion capture of the run (.csv), with times on the robot's clock; read when a run is over."""
+    """Motion capture of the run (.csv), with times of the robot's clock; it is read after the run."""
     world_name: str = "robot"
-    """Name of the world, for the traces."""
+    """Name of the world that is written into the traces."""
 
 
 def main(argv: list[str]) -> int:
@@ -83,11 +95,11 @@ def main(argv: list[str]) -> int:
     check_folder(command.out)
     command.check_link()
     if command.browser and command.commands is not None:
-        raise SurefootError("--browser and --commands are given; commands come from one place")
+        raise SurefootError("--browser and --commands can't be combined; commands come from one source")
     if command.browser and command.lockstep:
-        raise SurefootError("--browser and --lockstep are given; a page drives in real time")
+        raise SurefootError("--browser and --lockstep can't be combined; a page runs in real time")
     if command.browser:
-        import_module("viser")  # what is not installed is reported before the robot is connected
+        import_module("viser")  # a missing package is reported before the robot is connected
     from surefoot.api.policies import find_policy, open_policy
     from surefoot.check_result import first_failure
     from surefoot.deploy.checks import check_contract, check_map
@@ -97,7 +109,7 @@ def main(argv: list[str]) -> int:
     from surefoot.deploy.display import open_display
     from surefoot.deploy.loop import RunMonitor
     from surefoot.deploy.map_channel import MapChannel
-    from surefoot.deploy.pacer import undisturbed
+    from surefoot.deploy.pacer import real_time_priority
     from surefoot.stop_signals import StopSignals
 
     policy, robot = open_policy(find_policy(command.policy))
@@ -119,7 +131,7 @@ def main(argv: list[str]) -> int:
         monitor: RunMonitor
         if command.commands is not None:
             if contract.commands is None:
-                raise SurefootError(f"--commands is given; policy '{contract.name}' has no commands to follow")
+                raise SurefootError(f"--commands is given; policy '{contract.name}' follows no commands")
             commands = open_commands(command.commands, contract.commands)
             stack.callback(commands.close)
         if command.browser:
@@ -131,7 +143,7 @@ def main(argv: list[str]) -> int:
                 title, str(robot.folder), contract.name, contract.commands, command.page_port, channel.port
             )
             stop.sources.append(page.stops)
-            print(f"{page.address}   (Ctrl-C: the robot sits)", file=sys.stderr, flush=True)
+            print(f"{page.address}   (Ctrl-C: the robot sits down)", file=sys.stderr, flush=True)
             commands = channel if contract.commands is not None else None
         else:
             monitor = open_display(title)
@@ -143,23 +155,23 @@ def main(argv: list[str]) -> int:
         deployment = Deployment(link, controller, stop, monitor, command.dry_run, commands, maps)
         stack.callback(deployment.close)
         if not command.lockstep:
-            stack.enter_context(undisturbed())
+            stack.enter_context(real_time_priority())
         deployment.connect(check)
         results, code = _runs(command, deployment)
     return _report(command, deployment, results, code)
 
 
 def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
-    """Run after run, until one ends early; return the report of each, and the exit code."""
+    """Run all episodes, unless one ends early; return the report of each, and the exit code."""
     from surefoot.deploy.command_sources import FileCommands
-    from surefoot.deploy.motion_runner import DOWN, UP
+    from surefoot.deploy.motion_runner import SHUTDOWN_TIME, STARTUP_TIME
     from surefoot.deploy.pacer import LoopTiming
-    from surefoot.deploy.run_saver import RunSaver, next_free
+    from surefoot.deploy.run_saver import RunSaver, next_free_path
 
     contract = deployment.contract
     step = contract.control_step
     steps = deployment.controller.task.max_steps
-    duration = command.duration or (_DRIVEN if command.browser else None)
+    duration = command.duration or (_BROWSER_DURATION if command.browser else None)
     if duration is not None:
         steps = max(round(duration / step), 1)
     elif isinstance(deployment.commands, FileCommands):
@@ -167,27 +179,33 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
     results: list[dict[str, Any]] = []
     code = 0
     for run in range(command.episodes):
-        path = None if command.dry_run and command.out is None else next_free(command.out or Path("deploy"))
+        path = None if command.dry_run and command.out is None else next_free_path(command.out or Path("deploy"))
         saver = RunSaver(deployment, path, steps, command.world_name, run)
-        timing = LoopTiming(steps + round((UP + DOWN) / step) + 16)
+        timing = LoopTiming(steps + round((STARTUP_TIME + SHUTDOWN_TIME) / step) + 16)
         saver.begin()
         outcome = deployment.run(saver.recorder, timing)
         saved = saver.finish(outcome, timing, command.motion_capture)
-        results.append(_result(outcome, timing, saved, saver.recorder.steps))
+        results.append(_result(outcome, timing, saved, saver.recorder.steps, deployment.robot))
         if outcome.safe or saved.lost:
-            code = SAFETY
+            code = SAFETY_STOP
         if outcome.ended != "time" or outcome.safe:
             break
     return results, code
 
 
-def _result(outcome: RunOutcome, timing: LoopTiming, saved: SavedRun, steps: int) -> dict[str, Any]:
+def _result(
+    outcome: RunOutcome, timing: LoopTiming, saved: SavedRun, steps: int, robot: RobotDescription
+) -> dict[str, Any]:
+    from surefoot.evaluation.estimated_motion import is_estimated, with_estimated_motion
+
     speed = distance = None
+    estimated = False
     if saved.trace is not None:
-        forward = saved.trace.base_position_world[:, 0]
+        trace = with_estimated_motion(saved.trace, robot)
+        forward, estimated = trace.base_position_world[:, 0], is_estimated(trace)
         if math.isfinite(forward[-1] - forward[0]):
             distance = float(forward[-1] - forward[0])
-            speed = distance / saved.trace.duration
+            speed = distance / trace.duration
     return {
         "ended": outcome.ended,
         "reason": outcome.reason,
@@ -196,13 +214,14 @@ def _result(outcome: RunOutcome, timing: LoopTiming, saved: SavedRun, steps: int
         "trace": str(saved.path) if saved.path is not None else None,
         "distance": distance,
         "speed": speed,
+        "estimated": estimated,
         "notes": saved.notes,
-        "timing": timing.figures(),
+        "timing": timing.metrics(),
     }
 
 
 def _report(command: DeployCommand, deployment: Deployment, results: list[dict[str, Any]], code: int) -> int:
-    """Print what happened; return the exit code, also where nobody reads the output."""
+    """Print the results; return the exit code, even if the output can't be written."""
     statistics, state = deployment.link.statistics, deployment.link.state
     counts = ("received", "damaged", "missing", "repeated", "unsent")
     report = {
@@ -227,19 +246,20 @@ def _report(command: DeployCommand, deployment: Deployment, results: list[dict[s
 
 
 def _print_result(result: dict[str, Any]) -> None:
-    figures = result["timing"]
+    metrics = result["timing"]
     parts = [
         f"{result['ended']}: {result['what']}" if result["ended"] != "time" else str(result["what"]),
         f"{result['steps']} steps",
     ]
     if result["distance"] is not None:
-        parts.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s")
-    if figures["lateness_median_ms"] is not None:
-        late = "/".join(f"{figures[f'lateness_{key}_ms']:.2f}" for key in ("median", "p99_9", "max"))
+        how = ", estimated" if result["estimated"] else ""
+        parts.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s{how}")
+    if metrics["lateness_median_ms"] is not None:
+        late = "/".join(f"{metrics[f'lateness_{key}_ms']:.2f}" for key in ("median", "p99_9", "max"))
         parts.append(f"lateness {late} ms (median/99.9 %/max)")
-    if figures["inference_median_ms"] is not None:
-        parts.append(f"inference {figures['inference_median_ms']:.2f} ms")
-    parts += [f"{figures['missed']} missed", *result["notes"]]
+    if metrics["inference_median_ms"] is not None:
+        parts.append(f"inference {metrics['inference_median_ms']:.2f} ms")
+    parts += [f"{metrics['missed']} missed", *result["notes"]]
     if result["trace"] is not None:
         parts.append(f"wrote {result['trace']}")
     print("; ".join(parts), flush=True)

@@ -15,6 +15,7 @@ from surefoot.api.policies import find_policy, open_policy
 from surefoot.check_result import CheckResult
 from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import (
+    PLACES,
     Json,
     PluginNames,
     PolicyName,
@@ -34,40 +35,40 @@ from surefoot.deploy.robot_link import LinkLostError
 from surefoot.errors import SurefootError
 
 FAILED = 3
-"""Exit code when a check failed."""
+"""Exit code if a check failed."""
 _LABELS = {True: ("pass", "green"), False: ("FAIL", "bold red"), None: ("not done", "yellow")}
 
 
 @dataclass(frozen=True)
 class DoctorCommand(LinkOptions):
-    """Check policy, link, robot and this computer, one line a check: pass, FAIL or not done, why, and what to do.
+    """Check a policy, the link, the robot and this computer; print one line per check with the reason and the remedy.
 
-    Nothing moves without --rack or --ground. An adopted policy without a robot (no --port) is simulated: does it stand
-    and answer commands, and which of the usual mistakes in its configuration explains it, if not? Exit code 0: all that
-    was done passed; 3: something failed; 2: it could not begin, such as without a robot.
+    Motors move only with --rack or --ground. Without a robot (no --port), an adopted policy is simulated instead: does
+    it stand and follow commands, and if not, which common mistake in its configuration explains it? Exit codes: 0: all
+    checks that were done passed; 3: a check failed; 2: the checks could not start, such as without a robot.
     """
 
     policy: PolicyName
     rack: bool = False
-    """Also wiggle each motor by .05 rad: the robot hangs free, its legs in the air."""
+    """Also move each motor by 0.05 rad; the robot must hang freely, with its legs in the air."""
     ground: bool = False
-    """Also stand up and tilt with the legs: the robot sits on flat ground, with a metre of room."""
+    """Also stand up and tilt the body; the robot must sit on flat ground with a metre of free space."""
     yes: Yes = False
     robot: str | None = None
-    """Name or folder of the robot's description; the policy's, if not given."""
+    """Name or folder of the robot. Defaults to the policy's robot."""
     pings: Annotated[int, Within(10, 100_000)] = PINGS
-    """Pings that the link is measured with."""
+    """Number of pings for the measurement of the link."""
     steps: Annotated[int, Within(10, 100_000)] = STEPS
-    """Control steps and inferences that this computer is measured with."""
+    """Number of control steps and inferences for the measurement of this computer."""
     json: Json = False
     plugin: PluginNames = ()
     world: World = "mujoco"
     seed: Seed = 0
     threads: Threads = 0
     out: Path | None = None
-    """Folder for a page of that simulation, with videos."""
+    """Folder for a report of that simulation, with videos."""
     correct: Path | None = None
-    """File (.yaml) for the corrected specification, if that simulation names a mistake: for `adopt --from manual`."""
+    """File (.yaml) for the corrected specification if that simulation finds a mistake, for `adopt --from manual`."""
 
 
 def main(argv: list[str]) -> int:
@@ -77,13 +78,13 @@ def main(argv: list[str]) -> int:
         return _examine(command)
     for name in ("out", "correct"):
         if getattr(command, name) is not None:
-            raise SurefootError(f"--{name} is given; it is for an adopted policy's simulation, without a robot")
+            raise SurefootError(f"--{name} is given; it applies to the simulation of an adopted policy, without --port")
     command.check_link()
     if command.rack and command.ground:
-        raise SurefootError("--rack and --ground don't go together; a robot hangs or sits: give one")
+        raise SurefootError("--rack and --ground can't be combined; choose where the robot is")
     policy, robot = open_policy(find_policy(command.policy), command.robot)
     if (command.rack or command.ground) and not command.yes:
-        place = "hang free, its legs in the air" if command.rack else "sit on flat ground with a metre of room"
+        place = PLACES[command.rack]
         check_terminal(place)
         ask_to_move(place)
     console = make_console()
@@ -118,7 +119,7 @@ def _examine(command: DoctorCommand) -> int:
     """Examine an adopted policy in simulation."""
     contract = open_policy(find_policy(command.policy), command.robot)[0].contract
     if "adopted" not in contract.figures or command.rack or command.ground:
-        command.check_link()  # a policy that was trained here, or motions, need a robot
+        command.check_link()  # a policy that was not adopted, and motions, require a robot
     from surefoot.api.adopted import examine_policy
 
     world, seed, threads = command.world, command.seed, command.threads
@@ -136,12 +137,12 @@ def _examine(command: DoctorCommand) -> int:
     for file in result.files:
         console.print(f"wrote {file}", highlight=False, soft_wrap=True)
     if command.correct is not None and command.correct not in result.files:
-        console.print(f"no mistake was named; {command.correct} was not written", highlight=False, soft_wrap=True)
+        console.print(f"no mistake was found; {command.correct} was not written", highlight=False, soft_wrap=True)
     return FAILED if failed else 0
 
 
 def print_result(console: Console, result: CheckResult) -> None:
-    """Print a result in one line. The remedy of a check that failed or warns gets a second one."""
+    """Print a result in one line, and the remedy of a failed check or a warning in a second one."""
     label, style = ("warn", "yellow") if result.warn else _LABELS[result.passed]
     remedy = f": {result.remedy}" if result.passed is None else ""
     console.print(Text.assemble((f"{label:<8}", style), f"  {result.name:<20}  {result.message}{remedy}"))

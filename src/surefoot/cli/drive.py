@@ -1,9 +1,12 @@
-"""`surefoot drive`: a page in the browser to steer, disturb and change a simulated robot while it runs."""
+"""`surefoot drive`: a page in the browser to steer, push and modify a simulated robot while it runs."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, check_folder
 from surefoot.cli.helpers.parsing import parse
@@ -12,19 +15,23 @@ from surefoot.cli.helpers.simulator import SimulationOptions
 
 @dataclass(frozen=True)
 class DriveCommand(SimulationOptions):
-    """Drive a simulated robot from a page in the browser.
+    """Steer a simulated robot on a page in the browser.
 
-    Options of the simulation are of this policy; others that the page offers run as they were trained.
+    Options of the simulation apply to this policy; other policies selected on the page run as they were trained.
     """
 
     policy: PolicyName
     page_port: PagePort = PAGE_PORT
-    commands: str | None = None
-    """What steers in place of the page: a file (CSV: time, forward, sideways, yaw_rate), keyboard or gamepad at this
-    terminal, or the number of a UDP port on this computer."""
+    commands: Annotated[
+        str | None,
+        tyro.conf.arg(
+            help="Source of velocity commands instead of the page: a file (CSV: time, forward, sideways, yaw_rate), "
+            "keyboard or gamepad of this terminal, or a UDP port number of this computer.",
+        ),
+    ] = None
     host: Host = None
     out: Path = Path("recordings")
-    """Folder of what the page records: traces (.npz), pages (.html) and videos (.mp4); it is made when needed."""
+    """Folder for recordings: traces (.npz), pages (.html) and videos (.mp4); it is created when necessary."""
 
 
 def main(argv: list[str]) -> int:

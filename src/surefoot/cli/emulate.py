@@ -1,4 +1,4 @@
-"""`surefoot emulate`: a process that is the robot, behind a pseudo-terminal or topics over DDS."""
+"""`surefoot emulate`: emulate a robot behind a pseudo-terminal or DDS topics."""
 
 from __future__ import annotations
 
@@ -24,80 +24,90 @@ if TYPE_CHECKING:
     from surefoot.emulator.board import EmulatedBoard
     from surefoot.emulator.fault_table import InjectedFault
     from surefoot.emulator.plant import Plant
-    from surefoot.emulator.real_time import RealTime, Summary
-    from surefoot.emulator.serial.lockstep import Lockstep
+    from surefoot.emulator.real_time import RealTimeLoop, Summary
+    from surefoot.emulator.serial.lockstep import LockstepLoop
     from surefoot.emulator.serial.serial_host_link import HostPort, SerialHostLink
 
 STRIDE = 3
-"""Servo steps that physics may advance at once in real time; one by one they cost half as much again in Bullet."""
+"""Servo steps that the physics may advance at once in real time; single steps take 1.5 times as long in Bullet."""
 
 
 @dataclass(frozen=True)
 class EmulateCommand:
-    """Emulate a robot: open a pseudo-terminal, print its name, and serve the wire protocol there until interrupted.
+    """Emulate a robot (microcontroller and physics): print the name of a pseudo-terminal, and serve the wire protocol.
 
-    With --link dds it is a Unitree Go2 instead, with its topics on a network interface. The physics runs in real time;
-    with --lockstep it follows the times in the frames that arrive instead. One line at the end sums up the run. --fault
-    help lists the faults.
+    With --link dds the emulator is a Unitree Go2 with its DDS topics on a network interface. The physics runs in real
+    time or, with --lockstep, at the times in the received frames. Ctrl-C ends the emulator and prints a summary.
+    `--fault help` lists the faults that can be injected.
     """
 
     world: World = "mujoco"
     robot: str = DEFAULT_ROBOT
     """Name or folder of the robot."""
     params: Path | None = None
-    """File of physical parameters (.toml), or the name of one that ships with the robot; the data sheet's, if not
-    given."""
+    """File of physical parameters (.toml), or the name of one released with the robot. Defaults to the data sheet."""
     settings: Settings = ()
-    """Physical parameters that differ, such as motor_strength=0.8."""
+    """Physical parameters to change, such as motor_strength=0.8."""
     hidden_seed: Seed | None = None
-    """Draw physical parameters that are not printed."""
-    hidden_ranges: str = "table1"
-    """Table of ranges to draw them from; with ensemble, seeds 1 to 20 are the robots of world ensemble, and 21 to 60
-    those of ensemble-test."""
+    """Randomize the physical parameters with this seed, and do not print them."""
+    hidden_ranges: Annotated[
+        str,
+        tyro.conf.arg(
+            help="Table of their ranges. With ensemble, seeds 1 to 20 are the robots of world ensemble, and 21 to 60 "
+            "the robots of ensemble-test.",
+        ),
+    ] = "table1"
     faults: Annotated[Repeated, tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@TIME] [...]")] = ()
-    """What goes wrong, such as drop=0.01, or unplug=1.5 (s after the robot is first armed); help lists them."""
+    """Faults to inject, such as drop=0.01, or unplug=1.5 (seconds after the robot is first armed); help lists them."""
     lockstep: bool = False
-    """Follow the times in the frames that arrive, instead of the computer's clock."""
+    """Advance according to the times in the received frames instead of the computer's clock."""
     rack: bool = False
     """Hold the base in the air."""
     ideal_sensors: bool = False
-    """Encoders and IMU without quantization, noise and drift, a battery that does not sag."""
+    """Disable quantization, noise and drift of encoders and IMU, and the voltage drop of the battery."""
     terrain: Terrain = "flat"
     height_map: MapPort = None
-    """UDP port of this computer to which to send the heights of the ground around the robot, 50 times a second."""
+    """UDP port of this computer to which the height map around the robot is sent, 50 times per second."""
     scan: ScanConfig = field(default_factory=ScanConfig)
-    """Errors of these heights; the delay is a number of maps."""
+    """Errors of the height map; the delay is a number of maps."""
     seed: Seed = 0
-    """Seed of noise, of faults at random, and of terrain that is drawn."""
+    """Seed of noise, random faults and random terrain."""
     baud: Annotated[float, Within(0, 1e8)] = 921600.0
-    """Bits a second of the serial line, in real time; 0: bytes take no time."""
+    """Bits per second of the serial line in real time; 0: bytes are transferred without delay."""
     symlink: Path | None = None
-    """Symbolic link to the pseudo-terminal, removed at the end."""
+    """Symbolic link to the pseudo-terminal; it is removed at the end."""
     socket: Path | None = None
-    """Unix socket to make in place of a pseudo-terminal, whose bytes come late on a busy computer; --port takes it."""
+    """Unix socket for --port of other commands, instead of a pseudo-terminal, which is late on a busy computer."""
     link: Literal["serial", "dds"] = "serial"
-    """How hosts reach the robot: by a pseudo-terminal, or by a Go2's own topics over DDS."""
+    """Link to hosts: a pseudo-terminal, or the DDS topics of a Go2."""
     interface: str = ""
-    """Network interface of the topics, such as lo."""
+    """Network interface of the topics, such as lo; required with --link dds."""
     domain: Annotated[int, Within(0, 232)] = 0
-    """DDS domain of the topics; robots have 0."""
-    motion_service: Literal["released", "lying", "standing"] = "released"
-    """The Go2's own controller at the start: released, or active with the robot lying or standing up. A real robot
-    starts with it active."""
+    """DDS domain of the topics; robots use 0."""
+    motion_service: Annotated[
+        Literal["released", "lying", "standing"],
+        tyro.conf.arg(
+            help="State of the Go2's own controller at the start: released, or active with the robot lying or standing "
+            "up. It is active when a real robot starts.",
+        ),
+    ] = "released"
     out: tuple[Path, ...] = ()
-    """Files to write: what a motion capture system sees of the robot, 200 times a second (.csv), and the physical
-    parameters that --hidden-seed draws (.toml), for checking later."""
-    duration: Annotated[float, Within(0, 1e7, above=True)] | None = None
-    """End after so much robot time [s]."""
-    firmware: Path | None = None
-    """Program of a firmware in C, which `make host` compiles in a folder of `surefoot robot firmware new`; the robot's
-    microcontroller runs it instead of surefoot's own program."""
+    """Files to write: simulated motion capture at 200 Hz (.csv), and the parameters of --hidden-seed (.toml)."""
+    duration: Annotated[float, Within(0, 1e7, exclusive=True)] | None = None
+    """End after this robot time [s]. By default the emulator runs until Ctrl-C."""
+    firmware: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="Firmware in C that the emulated microcontroller runs: a program compiled by `make host` in a folder "
+            "of `surefoot robot firmware new`. Defaults to surefoot's implementation in Python.",
+        ),
+    ] = None
     viewer: bool = False
     """Show the robot in a window."""
 
     @property
     def files(self) -> dict[str, Path]:
-        """Files of --out by suffix."""
+        """Files of --out, by suffix."""
         return files_by_suffix(self.out, (".csv", ".toml"))
 
 
@@ -117,7 +127,7 @@ def main(argv: list[str]) -> int:
     robot = RobotDescription.load(command.robot)
     faults = parse_faults(words, command.lockstep, robot.num_motors, command.link)
     if "tilt" in faults and command.rack:
-        raise SurefootError("fault tilt needs a robot that can fall; it does not go with --rack")
+        raise SurefootError("fault tilt requires a robot that can fall; it can't be combined with --rack")
     check_takes_params(command.world)
     if command.link == "dds":
         _check_go2(robot)
@@ -125,43 +135,43 @@ def main(argv: list[str]) -> int:
         from surefoot.cli.helpers.viewer import has_display
 
         if not has_display():
-            raise SurefootError("viewer: there is no display here (DISPLAY is not set); run without --viewer")
+            raise SurefootError("viewer: there is no display (DISPLAY is not set); run without --viewer")
     return _run(command, robot, faults)
 
 
 def _check(command: EmulateCommand) -> None:
     if command.link == "dds":
         if not command.interface:
-            raise SurefootError("link dds needs the network interface of the topics; give --interface, such as lo")
+            raise SurefootError("link dds requires the network interface of the topics; give --interface, such as lo")
         for option in ("lockstep", "symlink", "socket", "firmware"):
             if getattr(command, option):
-                raise SurefootError(f"{option} is about the serial link; it does not go with --link dds")
+                raise SurefootError(f"{option} applies to the serial link; it can't be combined with --link dds")
     elif command.interface or command.domain or command.motion_service != "released":
-        raise SurefootError("interface, domain and motion_service are those of a link over DDS; give --link dds too")
+        raise SurefootError("interface, domain and motion_service apply to a DDS link; give --link dds as well")
     elif command.symlink is not None and command.socket is not None:
-        raise SurefootError("symlink and socket are given; a symbolic link leads to a pseudo-terminal")
+        raise SurefootError("symlink and socket can't be combined; a symbolic link refers to a pseudo-terminal")
     if command.firmware is not None and any(
         word.startswith(("servo_kp", "servo_kd")) for group in command.settings for word in group
     ):
-        raise SurefootError("set names a gain of the servo; a firmware has its own, in its robot.h")
+        raise SurefootError("set changes a gain of the servo; a firmware has its own gains, in robot.h")
     if command.baud and command.baud < 9600:
         raise SurefootError(f"baud is {command.baud:g}; it must be 9600 or more, or 0")
     files = command.files
     if ".toml" in files and command.hidden_seed is None:
-        raise SurefootError(f"out {files['.toml']} is for hidden parameters; give --hidden-seed too")
+        raise SurefootError(f"out {files['.toml']} is for hidden parameters; give --hidden-seed as well")
     if command.hidden_seed is not None and (command.params is not None or command.settings):
-        raise SurefootError("hidden_seed draws the parameters; it does not go with --params and --set")
+        raise SurefootError("hidden_seed randomizes the parameters; it can't be combined with --params or --set")
     for path in files.values():
         if path.exists():
             raise SurefootError(f"out {path} exists; give another name")
 
 
 def _check_go2(robot: RobotDescription) -> None:
-    """Refuse a robot that has no place in a Go2's messages."""
+    """Reject a robot whose motors differ from the Go2's messages."""
     from surefoot.deploy.dds.low_level import MOTOR_NAMES
 
     if robot.motor_names != MOTOR_NAMES or robot.actuator.kind != "joint":
-        raise SurefootError(f"link dds is that of a Unitree Go2; robot {robot.name} has other motors, give --robot go2")
+        raise SurefootError(f"link dds is for a Unitree Go2; robot {robot.name} has other motors, give --robot go2")
 
 
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
@@ -175,19 +185,19 @@ def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     return params
 
 
-def _servo_every(robot: RobotDescription, fault: InjectedFault | None) -> int:
-    """Return the physics steps between two steps of the servo, with its fault if it has one."""
+def _servo_stride(robot: RobotDescription, fault: InjectedFault | None) -> int:
+    """Return the number of physics steps per servo step, more than 1 with the fault slow-servo."""
     if fault is None:
         return 1
     step = robot.timing.servo_step
-    every = round(fault.value / step)
-    if every < 1 or abs(fault.value / step - every) > 1e-6:
-        raise SurefootError(f"fault slow-servo is {fault.value:g}; it must be whole servo steps of {step:g} s")
-    return every
+    stride = round(fault.value / step)
+    if stride < 1 or abs(fault.value / step - stride) > 1e-6:
+        raise SurefootError(f"fault slow-servo is {fault.value:g}; it must be a multiple of the servo step, {step:g} s")
+    return stride
 
 
 def make_plant(command: EmulateCommand, robot: RobotDescription, servo_every: int = 1) -> Plant:
-    """Return the robot's body."""
+    """Return the simulated body of the robot."""
     from surefoot.emulator.hardware import PowerConfig, SensorConfig
     from surefoot.emulator.plant import Plant
     from surefoot.world.terrain import make_terrain
@@ -201,25 +211,25 @@ def make_plant(command: EmulateCommand, robot: RobotDescription, servo_every: in
 
 def make_loop(
     command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], port: HostPort, summary: Summary
-) -> RealTime | Lockstep:
-    """Return the loop that runs the robot behind a pseudo-terminal or a socket, warmed up."""
+) -> RealTimeLoop | LockstepLoop:
+    """Return the loop that runs the robot behind a pseudo-terminal or a socket; its kernels are compiled."""
     from surefoot.deploy.serial.serial_link import LEAD
-    from surefoot.emulator.real_time import RealTime
-    from surefoot.emulator.serial.lockstep import PATIENCE, Lockstep
+    from surefoot.emulator.real_time import RealTimeLoop
+    from surefoot.emulator.serial.lockstep import HOST_TIMEOUT, LockstepLoop
     from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
-    plant = make_plant(command, robot, servo_every=_servo_every(robot, faults.get("slow-servo")))
+    plant = make_plant(command, robot, servo_every=_servo_stride(robot, faults.get("slow-servo")))
     if command.lockstep:
-        link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=PATIENCE)
-        return Lockstep(_make_board(command, plant, link, faults), link, port, summary)
+        link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=HOST_TIMEOUT)
+        return LockstepLoop(_make_board(command, plant, link, faults), link, port, summary)
     link = SerialHostLink(port, robot.num_motors, faults, command.baud, command.seed, lead=LEAD)
-    return RealTime(_make_board(command, plant, link, faults), summary, _load(faults))
+    return RealTimeLoop(_make_board(command, plant, link, faults), summary, _load(faults))
 
 
 def _make_board(
     command: EmulateCommand, plant: Plant, link: SerialHostLink, faults: dict[str, InjectedFault]
 ) -> EmulatedBoard:
-    """Return the robot with its program: a firmware in C, or surefoot's own."""
+    """Return the emulated board, which runs a firmware in C or surefoot's implementation in Python."""
     from surefoot import __version__
     from surefoot.deploy.board.limits import Limits, make_handshake
     from surefoot.emulator.board import Board
@@ -231,24 +241,24 @@ def _make_board(
         return FirmwareBoard(plant, command.firmware, link, faults)
     limits = Limits.from_robot(robot)
     handshake = make_handshake(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
-    # Gains that are set are the firmware's own, such as those that a policy was trained with.
-    given = parse_settings([word for group in command.settings for word in group])
-    gains = {name: getattr(plant.params, name)[0] for name in ("servo_kp", "servo_kd") if name in given}
+    # Gains given by --set become the firmware's gains, such as the gains with which a policy was trained.
+    settings = parse_settings([word for group in command.settings for word in group])
+    gains = {name: getattr(plant.params, name)[0] for name in ("servo_kp", "servo_kd") if name in settings}
     handshake = replace(handshake, **gains)
     return Board(plant, handshake, link, limits, faults, 1 if command.lockstep else STRIDE)
 
 
 def make_dds_loop(
     command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault], bus: Bus, summary: Summary
-) -> RealTime:
-    """Return the loop that runs a Go2 behind its topics, warmed up."""
+) -> RealTimeLoop:
+    """Return the loop that runs a Go2 behind its DDS topics; its kernels are compiled."""
     from surefoot.deploy.dds.low_level import STATE_PERIOD
     from surefoot.deploy.serial.serial_link import LEAD
     from surefoot.emulator.dds.board import Go2Board
     from surefoot.emulator.dds.link import LowLevelLink
     from surefoot.emulator.dds.motion_service import EmulatedMotionService
     from surefoot.emulator.dds.own_controller import OwnController
-    from surefoot.emulator.real_time import RealTime
+    from surefoot.emulator.real_time import RealTimeLoop
 
     plant, controller = make_plant(command, robot), OwnController()
     if command.motion_service != "released":
@@ -256,10 +266,10 @@ def make_dds_loop(
     if command.motion_service == "standing":
         controller.stand_up()
     service = None if "no-service" in faults else EmulatedMotionService(bus, controller, plant)
-    # A deployment uses, so long before its step, the newest state there is: half a period old on average.
+    # A deployment uses the newest state so long before its step; that state is half a period old on average.
     lead = LEAD + STATE_PERIOD / 2
     board = Go2Board(plant, LowLevelLink(bus), lead, controller, service, faults, command.seed)
-    return RealTime(board, summary, _load(faults))
+    return RealTimeLoop(board, summary, _load(faults))
 
 
 def _load(faults: dict[str, InjectedFault]) -> float:
@@ -267,7 +277,7 @@ def _load(faults: dict[str, InjectedFault]) -> float:
 
 
 def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, InjectedFault]) -> int:
-    from surefoot.deploy.pacer import undisturbed
+    from surefoot.deploy.pacer import real_time_priority
     from surefoot.emulator.capture_writer import CaptureWriter
     from surefoot.emulator.map_sender import MapSender
     from surefoot.emulator.real_time import Summary
@@ -280,7 +290,7 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
     def end(_: int) -> None:
         summary.stop = True
 
-    loop: RealTime | Lockstep
+    loop: RealTimeLoop | LockstepLoop
     observers: list[CaptureWriter | EmulateViewer | MapSender] = []
     with StopSignals(on_signal=end, respect_nohup=True), contextlib.ExitStack() as stack:
         if command.link == "dds":
@@ -306,15 +316,15 @@ def _run(command: EmulateCommand, robot: RobotDescription, faults: dict[str, Inj
                 from surefoot.cli.helpers.viewer import EmulateViewer
 
                 observers.append(EmulateViewer(command.robot, board.plant, command.terrain, command.seed))
-            board.on_step = [observer.see for observer in observers]
-            # A microcontroller has a processor of its own, so the emulator comes before other processes.
-            with contextlib.nullcontext() if command.lockstep else undisturbed():
+            board.on_step = [observer.update for observer in observers]
+            # A microcontroller has its own processor, so the emulator gets priority over other processes.
+            with contextlib.nullcontext() if command.lockstep else real_time_priority():
                 print(f"robot on {place}", flush=True)
                 loop.run(command.duration)
         finally:
             for observer in observers:
                 observer.close()
-                if isinstance(observer, CaptureWriter) and observer.file.stopped:
-                    print(f"surefoot: motion capture stopped: {observer.file.stopped}", file=sys.stderr)
+                if isinstance(observer, CaptureWriter) and observer.file.error:
+                    print(f"surefoot: motion capture stopped: {observer.file.error}", file=sys.stderr)
     print(f"surefoot: {summary.text(board)}", file=sys.stderr)
     return 0

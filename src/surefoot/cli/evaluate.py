@@ -1,4 +1,4 @@
-"""`surefoot evaluate`: run a policy in simulation and measure it; several side by side; which parameters break them."""
+"""`surefoot evaluate`: measure policies in simulation, compare several, or measure recorded runs."""
 
 from __future__ import annotations
 
@@ -26,34 +26,33 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EvaluateCommand(RunOptions):
-    """Run a policy for some episodes and print speed, power, return and gait; or measure runs that were recorded.
+    """Run a policy for several episodes and print its speed, power, return and gait, or measure recorded runs.
 
-    With --randomize NAME (table1, none, or a YAML file) every episode draws its physical parameters;
-    --randomize.NAME LOW HIGH sets or changes one range, such as --randomize.control-latency 0.010 0.030.
-    --trace FILE measures what a robot or a simulation recorded, by the same functions, and simulates nothing.
+    With --randomize TABLE (table1, none, or a YAML file) the physical parameters are randomized in every episode;
+    --randomize.NAME LOW HIGH sets the range of one parameter, such as --randomize.control-latency 0.010 0.030.
+    --trace FILE computes the same metrics for a recorded run of a robot or a simulation, without simulating.
 
-    Several policies are compared, with the same commands on the same robots: surefoot evaluate POLICY POLICY --help.
-    surefoot evaluate sensitivity POLICY finds which physical parameters break a policy.
+    To compare several policies with the same commands and robots, see surefoot evaluate POLICY POLICY --help. To find
+    the physical parameters that break a policy, see surefoot evaluate sensitivity --help.
     """
 
     policy: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="POLICY")] = None
-    """Path of a policy file (.onnx) or handcrafted gait (.yaml), or the name of a policy that ships with surefoot."""
+    """Path of a policy file (.onnx), run folder or handcrafted gait (.yaml), or the name of a released policy."""
     trace: tuple[Path, ...] = ()
-    """Recorded runs instead of a policy: trace files (.npz), or folders of them."""
+    """Recorded runs to measure instead of a policy: trace files (.npz), or folders of them."""
     episodes: Count = 20
-    """Episodes to run, side by side."""
+    """Number of episodes, which run in parallel."""
     duration: Duration | None = None
-    """Length of an episode [s]; that of the policy's task, if not given."""
+    """Duration of an episode [s]. Defaults to the policy's task."""
     json: Json = False
     command_grid: bool = False
-    """Give a policy with commands one command an episode, over a grid of its range, not drawn ones; with --out a
-    heat map of its errors is drawn."""
+    """Run one episode per point of a grid of constant velocity commands; with --out also draw a heat map of errors."""
     command: Annotated[tuple[float, float, float] | None, tyro.conf.arg(metavar="FORWARD SIDEWAYS YAW_RATE")] = None
-    """Give a policy with commands this one throughout [m/s, m/s, rad/s], not drawn ones."""
+    """Constant velocity command [m/s, m/s, rad/s] instead of random commands."""
     thermal_protection: bool = False
     """Switch off motors that overheat."""
     out: Path | None = None
-    """Folder for traces (.npz), a footfall diagram and an episode plot (.png)."""
+    """Folder for traces (.npz), a footfall diagram and a plot of the first episode (.png)."""
     threads: Threads = 0
 
 
@@ -70,7 +69,7 @@ def main(argv: list[str]) -> int:
         evaluation, robot, about = _load_traces(command, ranges != RangeOptions(None, {}))
         reward: dict[str, float] = {}
     elif command.policy is None:
-        raise SurefootError("no POLICY and no --trace is given; give one of them")
+        raise SurefootError("neither POLICY nor --trace is given; give one of them")
     else:
         evaluation, robot, about, reward = _simulate(command, ranges)
     summary, traces = evaluation.summary, evaluation.traces
@@ -90,6 +89,10 @@ def main(argv: list[str]) -> int:
         print_json(summary)
     else:
         print_summaries({f"{summary['policy']} in {summary['world']}": summary}, reward)
+        if "estimated" in summary:
+            from surefoot.evaluation.estimated_motion import NOTE
+
+            print(NOTE)
         for file in summary.get("files", []):
             if file.endswith(".png"):
                 print(f"wrote {file}")
@@ -101,7 +104,7 @@ def main(argv: list[str]) -> int:
 def _simulate(
     command: EvaluateCommand, range_options: RangeOptions
 ) -> tuple[Evaluation, RobotDescription, dict[str, Any], dict[str, float]]:
-    """Run the policy; return its evaluation, the robot, the settings of the run, and weights of its reward."""
+    """Run the policy; return its evaluation, the robot, the settings of the run, and its reward weights."""
     from surefoot.api.evaluation import run_evaluation
     from surefoot.api.results import load
     from surefoot.world.registry import find_world
@@ -136,9 +139,9 @@ def _simulate(
 
 
 def _command_rows(command: EvaluateCommand, policy: Policy) -> tuple[tuple[float, float, float], ...]:
-    """Return the commands that hold for a whole episode; none, if commands are drawn or read from a file."""
-    given = {"command": command.command, "command-grid": command.command_grid or None, "commands": command.commands}
-    if len(options := [f"--{name}" for name, value in given.items() if value is not None]) > 1:
+    """Return the constant commands, one per episode; empty if commands are random or read from a file."""
+    sources = {"command": command.command, "command-grid": command.command_grid or None, "commands": command.commands}
+    if len(options := [f"--{name}" for name, value in sources.items() if value is not None]) > 1:
         raise SurefootError(f"{' and '.join(options)} are given; give one of them")
     if not (command.command_grid or command.command):
         return ()
@@ -149,7 +152,7 @@ def _command_rows(command: EvaluateCommand, policy: Policy) -> tuple[tuple[float
 
 
 def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation, RobotDescription, dict[str, Any]]:
-    """Measure recorded runs of one robot; return their evaluation, the robot, and the traces' files."""
+    """Measure recorded runs of one robot; return their evaluation, the robot, and the trace files."""
     allowed = ("trace", "robot", "out", "json", "simulator")
     options: list[tuple[Any, Any]] = [(item, command) for item in fields(command) if item.name not in allowed]
     options += [(item, command.simulator) for item in fields(command.simulator)]
@@ -157,8 +160,9 @@ def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation
     if changed or has_ranges:
         name = changed[0] if changed else "randomize"
         option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
-        raise SurefootError(f"--trace and {option} are given; recorded runs are measured as they are, nothing is run")
+        raise SurefootError(f"--trace and {option} are given; recorded runs are measured without a simulation")
     from surefoot.api.results import Evaluation
+    from surefoot.evaluation.estimated_motion import DISTANCE_ERRORS, is_estimated, with_estimated_motion
     from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.robot import RobotDescription
 
@@ -167,9 +171,12 @@ def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation
     for path, trace in recorded:
         if trace.meta["robot"] != robot.name:
             raise SurefootError(
-                f"trace file {path}: is of robot '{trace.meta['robot']}', not of '{robot.name}'; "
-                "runs that are measured together must be of one robot"
+                f"trace file {path}: was recorded on robot '{trace.meta['robot']}', not on '{robot.name}'; "
+                "runs that are measured together must be from the same robot"
             )
     make_figures_folder(command.out)
-    evaluation = Evaluation.from_traces([trace for _, trace in recorded], robot)
-    return evaluation, robot, {"traces": [str(path) for path, _ in recorded]}
+    traces = [with_estimated_motion(trace, robot) for _, trace in recorded]
+    about: dict[str, Any] = {"traces": [str(path) for path, _ in recorded]}
+    if estimated := [str(path) for (path, _), trace in zip(recorded, traces, strict=True) if is_estimated(trace)]:
+        about |= {"estimated": estimated, "estimated_distance_errors": DISTANCE_ERRORS}
+    return Evaluation.from_traces(traces, robot), robot, about

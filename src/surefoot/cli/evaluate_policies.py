@@ -1,4 +1,4 @@
-"""`surefoot evaluate POLICY POLICY ...`: policies side by side, with the same commands on the same robots."""
+"""`surefoot evaluate POLICY POLICY ...`: compare policies with the same commands on the same robots."""
 
 from __future__ import annotations
 
@@ -23,23 +23,24 @@ CONDITIONS = ("nominal", "bullet", "table1", "pushes", "latency", "feet")
 
 @dataclass(frozen=True)
 class CompareCommand:
-    """Measure policies that follow commands side by side, with the same commands on the same robots.
+    """Compare policies that follow velocity commands, with the same commands on the same robots.
 
-    Commands are drawn from what all of them follow. Conditions: nominal; bullet, the other engine; table1, robots of
-    the paper's table I; pushes; latency, readings 20 ms old; feet, three times as stiff.
+    Commands are sampled from the range that all policies support. Conditions: nominal; bullet: the other physics
+    engine; table1: randomized robots (ranges of the paper's table I); pushes; latency: sensor readings 20 ms old; feet:
+    three times as stiff.
     """
 
     policies: PolicyNames
     conditions: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")] = CONDITIONS
-    """Conditions to measure under, as many as you like."""
+    """Conditions to run, one or more."""
     episodes: Count = 32
-    """Robots of each policy under each condition."""
+    """Number of robots (episodes) per policy and condition."""
     duration: Duration = 10.0
-    """Length of an episode [s]."""
+    """Duration of an episode [s]."""
     seed: Seed = 0
     threads: Threads = 0
     out: Path | None = None
-    """Folder for the table (.csv) and a page (.html)."""
+    """Folder for the table (.csv) and a report (.html)."""
     json: Json = False
     plugin: PluginNames = ()
 
@@ -50,10 +51,10 @@ def main(argv: list[str]) -> int:
     unknown = [name for name in command.conditions if name not in CONDITIONS]
     if unknown or not command.conditions or len(set(command.conditions)) != len(command.conditions):
         named = choices(command.conditions) or "none"
-        raise SurefootError(f"--conditions are {named}; give some of {choices(CONDITIONS)}, none twice")
+        raise SurefootError(f"--conditions are {named}; choose from {choices(CONDITIONS)}, each at most once")
     from surefoot.api.evaluation import compare_policies
     from surefoot.api.policies import load_policies
-    from surefoot.evaluation.policy_table import common_commands, comparison_conditions, texts
+    from surefoot.evaluation.policy_table import common_commands, comparison_conditions, format_rows
     from surefoot.robot.randomization import load_ranges
     from surefoot.tables import plain_rows, print_table, write_csv
     from surefoot.world.registry import find_world
@@ -78,14 +79,14 @@ def main(argv: list[str]) -> int:
         print_json({"robot": robot.name, "policies": plain_rows(table), "files": [str(file) for file in files]})
         return 0
     for condition in chosen:
-        print_table(texts(table, condition.name), f"{condition.name}: {condition.meaning}, {condition.world}")
+        print_table(format_rows(table, condition.name), f"{condition.name}: {condition.meaning}, {condition.world}")
     for file in files:
         print(f"wrote {file}")
     return 0
 
 
 def _source(contract: Contract) -> str:
-    """Return where a policy comes from, in words."""
+    """Return a description of a policy's origin."""
     adopted = contract.figures.get("adopted")
     if isinstance(adopted, Mapping):
         return f"adopted from {adopted.get('format')}, network {str(adopted.get('network'))[:12]}"

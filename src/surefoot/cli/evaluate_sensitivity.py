@@ -1,4 +1,4 @@
-"""`surefoot evaluate sensitivity`: which physical parameters break a policy, one at a time."""
+"""`surefoot evaluate sensitivity`: vary one physical parameter at a time, and find those that break a policy."""
 
 from __future__ import annotations
 
@@ -30,34 +30,35 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SensitivityCommand:
-    """Run policies in worlds in which one physical parameter is not nominal, and find what breaks them.
+    """Vary one physical parameter at a time, and find the values at which the gait of a policy breaks.
 
-    Each row of a table of ranges, the paper's table I by default, takes evenly spaced values within its range while
-    all else stays nominal. Mean and standard deviation of the return over all these test worlds measure how robust a
-    policy is. Written to --out: policies.csv, one line a policy; breaks.csv, one for each end of a range that breaks a
-    gait; sensitivity.csv, one a world; episodes.csv, one an episode; a figure for each row and one for all of them.
+    Each parameter in a table of ranges (by default the paper's table I) takes evenly spaced values within its range,
+    while all others are nominal; each value is a test world. The mean and standard deviation of the return over all
+    test worlds measure the robustness of a policy. Files in --out: policies.csv, one row per policy; breaks.csv, one
+    row per end of a range at which a gait breaks; sensitivity.csv, one row per test world; episodes.csv, one row per
+    episode; one figure per parameter, and one for all.
     """
 
     policies: PolicyNames
     out: Path = Path("sensitivity")
     """Folder for tables (.csv) and figures (.png)."""
     ranges: str = "table1"
-    """Rows to vary and their ranges: the name of a table, or a YAML file."""
+    """Parameters to vary and their ranges: the name of a table, or a YAML file."""
     values: Annotated[int, Within(2, 1000)] = 10
-    """Values of each row, evenly spaced, the ends of its range included."""
+    """Number of values per parameter, evenly spaced from end to end of its range."""
     episodes: Count = 8
-    """Episodes in each world."""
+    """Number of episodes per test world."""
     duration: Duration | None = None
-    """Length of an episode [s], the same in all worlds; the longest of the policies' tasks, if not given."""
+    """Duration of an episode [s], the same in all worlds. Defaults to the longest episode of the policies' tasks."""
     pushes: Pushes = False
     push_force: PushForce = None
-    """Vary the force of horizontal pushes too, from LOW to HIGH [N], as a row `push_force`."""
+    """Also vary the force of horizontal pushes from LOW to HIGH [N], as parameter `push_force`."""
     seed: Seed = 1
     json: Json = False
     world: World = "mujoco"
     terrain: Terrain = "flat"
     simulator: SimulatorOptions = Simulator()
-    """Another simulator than the policies' own, as the nominal world."""
+    """Differences of the nominal world from the policies' own simulator."""
     threads: Threads = 0
     plugin: PluginNames = ()
 
@@ -80,7 +81,7 @@ def main(argv: list[str]) -> int:
     condition = command.simulator.condition(**own, curricula=True)
     tasks = [condition.apply(one.task, robot) for one in loaded]
     make_figures_folder(command.out)
-    from surefoot.evaluation.sensitivity import find_breaks, trained_ranges
+    from surefoot.evaluation.sensitivity import find_gait_limits, trained_ranges
     from surefoot.report.figures.parameters import aggregate_figure, parameter_figure
     from surefoot.tables import write_csv
 
@@ -92,7 +93,7 @@ def main(argv: list[str]) -> int:
     groups, trained = {one.policy: [one] for one in results}, {one.name: trained_ranges(one.task) for one in loaded}
     tables = {
         "policies": [pd.DataFrame([_summary(one)]).drop(columns="breaks") for one in results],
-        "breaks": [find_breaks(one).assign(policy=one.policy) for one in results],
+        "breaks": [find_gait_limits(one).assign(policy=one.policy) for one in results],
         "sensitivity": [one.worlds.assign(policy=one.policy) for one in results],
         "episodes": [one.episodes.assign(policy=one.policy) for one in results],
     }
@@ -128,8 +129,8 @@ def main(argv: list[str]) -> int:
 
 
 def _summary(result: Sensitivity) -> dict[str, Any]:
-    """Return the aggregates of one policy's test worlds, as JSON holds them."""
-    from surefoot.evaluation.sensitivity import find_breaks
+    """Return the aggregates of one policy's test worlds for JSON."""
+    from surefoot.evaluation.sensitivity import find_gait_limits
 
     return {
         "policy": result.policy,
@@ -141,16 +142,16 @@ def _summary(result: Sensitivity) -> dict[str, Any]:
         "nominal_falls": int(result.nominal.fell.sum()),
         "falls": int(result.tests.fell.sum()),
         "episodes": len(result.tests),
-        "breaks": find_breaks(result).to_dict("records"),
+        "breaks": find_gait_limits(result).to_dict("records"),
     }
 
 
 def _print_tables(results: list[Sensitivity], files: list[Path], unit: str) -> None:
-    """Print a table of the policies, and one of each row's range, worst world, and nearest values that break a gait.
+    """Print a table of policies, and a table of parameters: range, worst world and nearest values that break the gait.
 
-    `unit` is that of returns.
+    `unit` is the unit of returns.
     """
-    from surefoot.evaluation.sensitivity import find_breaks, row_unit
+    from surefoot.evaluation.sensitivity import find_gait_limits, row_unit
     from surefoot.tables import print_files, print_table, with_unit
 
     policies, rows = [], []
@@ -164,14 +165,14 @@ def _print_tables(results: list[Sensitivity], files: list[Path], unit: str) -> N
                 "falls": f"{result.tests.fell.sum()} of {len(result.tests)}",
             }
         )
-        breaks = find_breaks(result)
+        breaks = find_gait_limits(result)
         for row in result.rows:
             worlds = result.of_row(row)
             worst = worlds.loc[worlds.return_mean.idxmin()]
             rows.append(
                 {
                     "policy": result.policy,
-                    "row": with_unit(row, row_unit(row)),
+                    "parameter": with_unit(row, row_unit(row)),
                     "range": f"{worlds.value.iloc[0]:.3g} to {worlds.value.iloc[-1]:.3g}",
                     with_unit("worst return", unit): f"{worst.return_mean:.2f}",
                     "at": f"{worst.value:.3g}",
@@ -179,6 +180,6 @@ def _print_tables(results: list[Sensitivity], files: list[Path], unit: str) -> N
                     "breaks at": ", ".join(f"{value:.3g}" for value in breaks.value[breaks.row == row]) or "-",
                 }
             )
-    print_table(policies, "Test worlds: mean and standard deviation of their returns")
-    print_table(rows, "Each row: its worst test world, and the nearest values at which the gait breaks", 2)
+    print_table(policies, "Test worlds: mean and standard deviation of the return")
+    print_table(rows, "Each parameter: its worst test world, and the nearest values at which the gait breaks", 2)
     print_files(files, files[0].parent)

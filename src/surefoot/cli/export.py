@@ -1,4 +1,4 @@
-"""`surefoot export`: a policy as the files that other deployers read."""
+"""`surefoot export`: write a policy as files for another framework's deployment."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from surefoot.cli.helpers.parsing import parse
 
 @dataclass(frozen=True)
 class ExportCommand:
-    """Write a policy as the files that another deployer reads.
+    """Write a policy as the files that another framework deploys.
 
-    For policies whose actions are motor angles, such as those of `surefoot adopt`. Before anything is written, the
-    angles that the deployer's arithmetic gives are compared with the policy's own.
+    The policy's actions must be motor angles, as for policies from `surefoot adopt`. Before anything is written, the
+    angles computed by the other framework's formulas are compared with the policy's.
     """
 
     policy: PolicyName
     to: Annotated[Literal["rl_sar", "mjlab"], tyro.conf.arg(name="to")]
-    """rl_sar: policy.onnx, config.yaml and base.yaml; mjlab: policy.onnx with its properties."""
+    """Framework; rl_sar: policy.onnx, config.yaml and base.yaml; mjlab: policy.onnx with its metadata."""
     out: Path
     """Folder to write to."""
     robot: str | None = None
-    """Name or folder of the robot's description; the policy's, if not given."""
+    """Name or folder of the robot. Defaults to the policy's robot."""
     json: Json = False
 
 

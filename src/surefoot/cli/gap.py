@@ -1,4 +1,4 @@
-"""`surefoot gap`: what policies lose in another world than the one that they learned in."""
+"""`surefoot gap`: measure the reality gap, the loss of return of policies in another world than the training's."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ if TYPE_CHECKING:
 
 TRACE = "trace"
 _LENGTH_TOLERANCE = 0.01
-"""Relative difference of lengths that whole control steps may cause."""
+"""Relative difference of durations that rounding to whole control steps may cause."""
 
 
 Side = str | Path
-"""Where runs come from: the name of a simulated world, or a folder of traces."""
+"""Source of runs: the name of a simulated world, or a folder of traces."""
 
 
 def parse_side(option: str, words: Sequence[str]) -> Side:
@@ -59,18 +59,18 @@ def _text(side: Side) -> str:
 
 
 def _check_sides(command: GapCommand, home: Side, away: Sequence[Side]) -> None:
-    """Refuse sides given twice, options of simulations without one, and runs that would be written beside traces."""
+    """Reject repeated sides, simulation options without a simulation, and --out inside a folder of traces."""
     if not away:
         raise SurefootError(f"no --to is given; it takes the name of a world, or {TRACE} FOLDER")
     for side in away:
         if list(away).count(side) > 1:
-            raise SurefootError(f"--to {_text(side)} is given twice; give each once")
+            raise SurefootError(f"--to {_text(side)} is given twice; give it once")
     for side in (home, *away):
         if isinstance(side, Path):
             out, folder = command.out.resolve(), side.resolve()
             if out == folder or out in folder.parents or folder in out.parents:
                 raise SurefootError(
-                    f"--out {command.out} and the traces of {side} lie one in the other; give --out a folder of its own"
+                    f"--out {command.out} and the traces of {side} are inside one another; give --out another folder"
                 )
     for option, value, sides in (
         ("--params", command.params, [home, *away]),
@@ -85,7 +85,7 @@ def _check_sides(command: GapCommand, home: Side, away: Sequence[Side]) -> None:
 
 
 def make_labels(worlds: Sequence[str], sides: Sequence[Side]) -> list[str]:
-    """Return a distinct name for each side from its world, home first: a world that comes twice is marked."""
+    """Return a unique name for each side, derived from its world (home first); a repeated world gets a suffix."""
     labels: list[str] = []
     for world, side in zip(worlds, sides, strict=True):
         stem = world
@@ -100,38 +100,39 @@ def make_labels(worlds: Sequence[str], sides: Sequence[Side]) -> list[str]:
 
 @dataclass(frozen=True)
 class GapCommand:
-    """Run policies at home and in other worlds, and measure the loss of return there: the reality gap.
+    """Run policies in their training simulator and in other worlds, and measure the loss of return (reality gap).
 
-    At home is the simulator that a policy was trained in, with its actuator and latencies. In the worlds of --to the
-    robot is as its data sheet says. --params FILE puts the robot of a file in both places. `--to trace FOLDER` takes
-    recorded runs instead, such as a robot's. Written to --out: the runs' traces, gap.csv with one row a policy and
-    world, episodes.csv with one row a run, gap.png, and for each policy its runs over time in runs.png.
+    The home world is the simulator in which a policy was trained, with its actuator model and latencies. In the target
+    worlds of --to the robot has the parameters of its data sheet. --params FILE sets the robot's parameters in all
+    worlds. `--to trace FOLDER` uses recorded runs instead, such as a real robot's. Files in --out: the traces of all
+    runs; gap.csv, one row per policy and world; episodes.csv, one row per run; gap.png; and for each policy runs.png
+    with its runs over time.
     """
 
     policies: PolicyNames
     home: Annotated[tuple[str, ...], tyro.conf.arg(name="from", metavar="WORLD | trace FOLDER")] = ("mujoco",)
-    """Home: mujoco or bullet, or recorded traces."""
+    """Home world, such as mujoco or bullet, or recorded traces."""
     away: Annotated[Repeated, tyro.conf.arg(name="to", metavar="WORLD | trace FOLDER")] = ()
-    """Another world: mujoco or bullet, or recorded traces; as often as you like."""
+    """Target world, such as mujoco or bullet, or recorded traces. May be repeated."""
     episodes: Count = 3
-    """Episodes of each policy in each world."""
+    """Number of episodes per policy and world."""
     duration: Duration | None = None
-    """Length of an episode [s], the same in all worlds; that of the policy's task, if not given."""
+    """Duration of an episode [s], the same in all worlds. Defaults to the policy's task."""
     params: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """File of a robot's physical parameters (.toml): that robot is simulated on all sides, at home too."""
+    """File of a robot's physical parameters (.toml), which are used in all worlds, including the home world."""
     settings: Settings = ()
-    """Physical parameters in all worlds, such as contact_friction=0.8; over those of --params."""
+    """Physical parameters in all worlds, such as contact_friction=0.8; they override --params."""
     from_settings: Annotated[Repeated, tyro.conf.arg(name="from-set", metavar="NAME=VALUE [...]")] = ()
-    """Physical parameters at home, over those of --set."""
+    """Physical parameters in the home world; they override --set."""
     to_settings: Annotated[Repeated, tyro.conf.arg(name="to-set", metavar="NAME=VALUE [...]")] = ()
-    """Physical parameters in the worlds of --to, over those of --set."""
+    """Physical parameters in the target worlds; they override --set."""
     to_actuator: Actuator = "dc"
-    """Actuator in the worlds of --to; dc: servo and DC motor; constraint: the position motor of physics engines."""
+    """Actuator model in the target worlds; dc: servo and DC motor; constraint: position motor of the physics engine."""
     terrain: Terrain = "flat"
     pushes: Pushes = False
     seed: Seed = 1
     out: Path = Path("gap")
-    """Folder for traces (.npz), tables (.csv) and the figure (.png)."""
+    """Folder for traces (.npz), tables (.csv) and figures (.png)."""
     json: Json = False
     threads: Threads = 0
     plugin: PluginNames = ()
@@ -146,6 +147,7 @@ def main(argv: list[str]) -> int:
 
     home, away = parse_side("--from", command.home), [parse_side("--to", words) for words in command.away]
     _check_sides(command, home, away)
+    from surefoot.evaluation.estimated_motion import with_estimated_motion
     from surefoot.evaluation.recorded import assign_to_policies, find_traces, save_runs
     from surefoot.evaluation.runs import common_value
     from surefoot.world.process_world import worker_pool
@@ -163,7 +165,11 @@ def main(argv: list[str]) -> int:
             worlds.append(side)
             continue
         traces = find_traces(side)
-        recorded[side] = assign_to_policies(traces, [one.name for one in candidates], robot.name)
+        assigned = assign_to_policies(traces, [one.name for one in candidates], robot.name)
+        recorded[side] = {
+            name: [(path, with_estimated_motion(trace, robot)) for path, trace in runs]
+            for name, runs in assigned.items()
+        }
         with prefix_errors(_text(side)):
             worlds.append(common_value([trace for _, trace in traces], "world"))
     labels = make_labels(worlds, sides)
@@ -173,8 +179,8 @@ def main(argv: list[str]) -> int:
             length = trace.meta["max_steps"] * trace.meta["control_step"]
             if abs(length - duration) > _LENGTH_TOLERANCE * duration:
                 raise SurefootError(
-                    f"trace file {path}: its run was to last {length:.3g} s, the others last {duration:.3g} s; "
-                    f"give --duration {length:.3g} to compare with runs as long"
+                    f"trace file {path}: its run was planned for {length:.3g} s, the others for {duration:.3g} s; "
+                    f"give --duration {length:.3g} to compare runs of equal duration"
                 )
         check_name("policy name", one.name)
     make_figures_folder(command.out)
@@ -197,7 +203,7 @@ def main(argv: list[str]) -> int:
 
 
 def _conditions(command: GapCommand) -> tuple[Condition, Condition]:
-    """Return the conditions at home and in the other worlds, in which episodes last equally long."""
+    """Return the conditions of the home world and of the target worlds, with episodes of equal duration."""
     changes = {
         "pushes": command.pushes,
         "terrain": command.terrain,
@@ -220,13 +226,21 @@ def _report(
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
-    from surefoot.evaluation.gap import PolicyGap, gap_text
+    from surefoot.evaluation.estimated_motion import DISTANCE_ERRORS, NOTE, is_estimated
+    from surefoot.evaluation.gap import PolicyGap, gap_cells
     from surefoot.evaluation.runs import measure_runs
     from surefoot.report.figures.gap import gap_figure
     from surefoot.report.figures.runs import side_by_side
     from surefoot.tables import plain_rows, print_files, print_table, write_csv
 
     out, gaps, episodes, figures = command.out, [], [], []
+    estimated = [
+        str(path)
+        for worlds in runs.values()
+        for recorded in worlds.values()
+        for path, trace in recorded
+        if is_estimated(trace)
+    ]
     unit = min(at_home.return_unit(robot) for at_home, _ in tasks.values())
     for name, worlds in runs.items():
         traces = {world: [trace for _, trace in recorded] for world, recorded in worlds.items()}
@@ -243,13 +257,15 @@ def _report(
         *figures,
     ]
     if not command.json:
-        title = f"Reality gap: return in {gaps[0].worlds[0]} less return elsewhere, ± one standard error"
+        title = f"Reality gap: return in {gaps[0].worlds[0]} minus return elsewhere, ± one standard error"
         texts = [
-            {"policy": name} | gap_text(row, row["side"] == "home", sign=True, unit=unit)
+            {"policy": name} | gap_cells(row, row["side"] == "home", sign=True, unit=unit)
             for name, part in rows.items()
             for row in part
         ]
         print_table(texts, title, 2)
+        if estimated:
+            print(NOTE)
         print_files(files, out)
         first = next(iter(runs.values()))
         print(show_command(recorded[0][0] for recorded in first.values()))
@@ -274,6 +290,7 @@ def _report(
             for one in candidates
         ],
         "pooled": plain[pooled[0].name] if pooled else None,
+        **({"estimated": estimated, "estimated_distance_errors": DISTANCE_ERRORS} if estimated else {}),
         "files": [str(file) for file in files],
     }
     print_json(result)

@@ -1,7 +1,7 @@
-"""`surefoot identify`: experiments on a robot, parameters from them or from recorded runs, and the motor figure.
+"""`surefoot identify`: identify a robot's physical parameters by experiments, or from recorded runs and logs.
 
-Exit codes: 0 done; 2 refused before anything moved, or data that identify nothing; 3 the experiment was stopped, or the
-fitted robot does not repeat the logs.
+Exit codes: 0: completed; 2: rejected before anything moved, or no parameter is identifiable from the data; 3: the
+experiment was stopped, or the fitted robot does not reproduce the logs.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from surefoot.robot.params import parse_settings
 from surefoot.robot.params_file import ParamsFile
 
 STOPPED = 3
-"""Exit code of an experiment that did not come to its end."""
+"""Exit code of an experiment that was stopped."""
 RECORDING = "recording.npz"
 TRACE = "--trace"
 ACTIONS: Actions = {
-    "replay": ("replay a recorded run in simulation, and compare", "surefoot.cli.identify_replay"),
-    "import": ("make a trace of a log that others recorded: NPZ, CSV, pickle, torch, MCAP or ROS bag",
+    "replay": ("replay the commands of a recorded run in simulation, and compare", "surefoot.cli.identify_replay"),
+    "import": ("convert a log to a trace; formats: NPZ, CSV, pickle, torch, Parquet, MCAP, ROS bag",
                "surefoot.cli.identify_import"),
-    "motor-figure": ("one motor follows a sine: servo and DC motor, constraint motor, and a recording",
+    "motor-figure": ("let a motor follow a sine or a recording with both motor models, and plot it",
                      "surefoot.cli.helpers.identify_motor_figure"),
 }  # fmt: skip
-"""What needs no experiment: purpose, and the module that runs it."""
+"""Subcommands that need no experiment: purpose, and the module that runs it."""
 _USAGE = """usage: surefoot identify EXPERIMENT --port PORT ...
        surefoot identify EXPERIMENT --recording FOLDER ...
        surefoot identify --trace FOLDER ...
@@ -43,23 +43,23 @@ _USAGE = """usage: surefoot identify EXPERIMENT --port PORT ...
 
 Identify a robot's physical parameters by experiments, and write them to a file for surefoot train --params FILE.
 
-experiments on a robot, in this order, each with --params FILE of earlier results:
+experiments on a robot, to run in this order, each with --params FILE, the results so far:
 {experiments}
 
 without an experiment:
 {others}
 
-surefoot identify EXPERIMENT --help lists its options, as for replay, import and motor-figure."""
+surefoot identify EXPERIMENT --help lists its options, and likewise for replay, import and motor-figure."""
 
 
 def check_identifiable(robot: RobotDescription, experiment: Experiment | None = None) -> None:
-    """Refuse a robot whose legs and motors are not those that an experiment, or a fit to traces, needs."""
-    if experiment is not None and experiment.joints:
+    """Reject a robot with legs or motors that the experiment, or the fit to traces, does not support."""
+    if experiment is not None and experiment.for_joint_actuators:
         if robot.actuator.kind != "joint" or robot.loops:
-            raise SurefootError(f"{experiment.name} takes robots with joint actuators; {robot.name} has others")
+            raise SurefootError(f"{experiment.name} is for robots with joint actuators; {robot.name} has other ones")
         return
     if robot.actuator.kind != "dc" or not isinstance(robot.leg_geometry, FiveBar):
-        raise SurefootError(f"identify takes robots with five-bar legs and DC motors; {robot.name} has others")
+        raise SurefootError(f"identify is for robots with five-bar legs and DC motors; {robot.name} has other ones")
 
 
 def main(argv: list[str]) -> int:
@@ -71,17 +71,17 @@ def main(argv: list[str]) -> int:
     if word in ACTIONS:
         return run_action(argv, "identify", ACTIONS)
     if word.startswith("--"):
-        # Its own help needs no value of --trace.
+        # --help works without a value of --trace.
         return _identify_from_traces(["--help"] if {"-h", "--help"} & set(argv) else argv)
     if word in EXPERIMENTS:
         return _run_experiment(EXPERIMENTS[word], argv[1:])
-    raise SurefootError(f"'{word}' is no experiment; {suggest(word, [*EXPERIMENTS, *ACTIONS])}, or {TRACE} FOLDER")
+    raise SurefootError(f"'{word}' is not an experiment; {suggest(word, [*EXPERIMENTS, *ACTIONS])}, or {TRACE} FOLDER")
 
 
 def _usage() -> str:
-    experiments = {name: f"{one.what} (on {'rack' if one.rack else 'ground'})" for name, one in EXPERIMENTS.items()}
+    experiments = {name: f"{one.measures} (on {'rack' if one.rack else 'ground'})" for name, one in EXPERIMENTS.items()}
     others = {
-        f"{TRACE} FOLDER": "motors and delays from traces of runs; a robot with joint actuators from logs",
+        f"{TRACE} FOLDER": "fit motors and latencies to traces of runs; fit a robot with joint actuators to logs",
         **{name: purpose for name, (purpose, _) in ACTIONS.items()},
     }
     width = max(map(len, [*experiments, *others]))
@@ -101,7 +101,7 @@ def _identify_from_traces(argv: list[str]) -> int:
         ("set", command.settings),
     ):
         if value:
-            raise SurefootError(f"--{option} is of logs of a robot with joint actuators; name it: --robot")
+            raise SurefootError(f"--{option} is for logs of a robot with joint actuators; name the robot with --robot")
     from surefoot.evaluation.recorded import find_traces, load_robot
 
     traces = find_traces(command.trace)
@@ -147,7 +147,7 @@ def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
         folder = command.out or new_folder(name)
         path = folder / RECORDING
         if path.exists():
-            raise SurefootError(f"{path} exists and is not written over; give another folder with --out")
+            raise SurefootError(f"{path} exists and is not overwritten; give another folder with --out")
         if not command.record_only:
             check_installed(f"surefoot identify {name} --record-only")
             _warn_of_missing(command, experiment, prior)
@@ -157,17 +157,17 @@ def _run_experiment(experiment: Experiment, argv: list[str]) -> int:
     check_installed()
     with fit_progress(name) as report:
         result = experiment.fit(robot, recording, prior.params, dict(prior.tables.get("sensors", {})), report)
-    missing = list(missing_experiments(prior, experiment.before))
+    missing = list(missing_experiments(prior, experiment.prerequisites))
     more = {"recording": str(path), "ended": COMPLETE, "lacks": missing}
     save_and_print(robot, prior, result, command.params, folder, str(path), more, command.json)
     return 0
 
 
 def _print_plan(command: ExperimentCommand, experiment: Experiment) -> int:
-    """Show the plan of an experiment in the air, and what it would tell."""
-    if not experiment.joints or command.robot is None:
+    """Print the plan of the experiment air, and the accuracy that it would achieve."""
+    if not experiment.for_joint_actuators or command.robot is None:
         raise SurefootError(
-            "--plan shows what air would tell; name the robot: surefoot identify air --plan --robot NAME"
+            "--plan is for the experiment air and a named robot: surefoot identify air --plan --robot NAME"
         )
     robot = RobotDescription.load(command.robot)
     check_identifiable(robot, experiment)
@@ -175,21 +175,21 @@ def _print_plan(command: ExperimentCommand, experiment: Experiment) -> int:
     prior = read_prior(command.params, robot).params.with_values(robot, **stated)
     if not command.json:
         show_plan(plan, robot.name, (-math.inf, math.inf), make_console())
-    from surefoot.cli.helpers.identify_results import check_installed, print_foresight
+    from surefoot.cli.helpers.identify_results import check_installed, print_expected_accuracy
 
     check_installed()
-    from surefoot.identify.motion.foresight import foresee, planned_motion
+    from surefoot.identify.motion.expected_accuracy import planned_motion, predict_accuracy
 
-    foresight = foresee(robot, [planned_motion(plan)], prior, tuple(stated))
-    print_foresight(robot, foresight, prior, "this plan", command.json)
+    foresight = predict_accuracy(robot, [planned_motion(plan)], prior, tuple(stated))
+    print_expected_accuracy(robot, foresight, prior, "this plan", command.json)
     return 0
 
 
 def _check_options(command: ExperimentCommand) -> None:
     robot = command.port is not None or command.link == "dds"
     if robot == (command.recording is not None):
-        number = "both" if robot else "none"
-        raise SurefootError(f"--port of a robot, or --recording of an experiment: give one of them; {number} is given")
+        number = "both are" if robot else "neither is"
+        raise SurefootError(f"give either --port of a robot or --recording of an experiment; {number} given")
     if robot:
         command.check_link()
         command.gains()
@@ -197,26 +197,26 @@ def _check_options(command: ExperimentCommand) -> None:
         for name in ("record_only", "yes", "lockstep"):
             if getattr(command, name):
                 option = name.replace("_", "-")
-                raise SurefootError(f"--recording and --{option} don't go together; a recording needs no robot")
+                raise SurefootError(f"--recording and --{option} can't be combined; a recording needs no robot")
     if command.record_only and command.params is not None:
-        raise SurefootError("--record-only and --params don't go together; parameters are needed for the fit")
+        raise SurefootError("--record-only and --params can't be combined; only the fit uses parameters")
     check_suffix("params", command.params, ".toml")
     check_folder(command.out)
 
 
 def _warn_of_missing(command: ExperimentCommand, experiment: Experiment, prior: ParamsFile) -> None:
-    """Print which experiments should precede this one."""
-    if missing := missing_experiments(prior, experiment.before):
-        where = f"{command.params} has no results of it" if command.params is not None else "no --params FILE is given"
+    """Print a warning if experiments that should precede this one are missing."""
+    if missing := missing_experiments(prior, experiment.prerequisites):
+        where = f"{command.params} has no results of it" if command.params is not None else "--params FILE is not given"
         print(
-            f"surefoot: warning: {experiment.name} should come after {' and '.join(missing)}, and {where}; the data "
-            "sheet stands in",
+            f"surefoot: warning: {experiment.name} should be run after {' and '.join(missing)}, but {where}; the "
+            "parameters of the data sheet are used",
             file=sys.stderr,
         )
 
 
 def _print_recording(command: ExperimentCommand, recording: Recording, path: Path) -> int:
-    """Print the outcome of an experiment that is not fitted."""
+    """Print the outcome of an experiment that was recorded but not fitted."""
     name, ended = recording.meta["experiment"], str(recording.meta["ended"])
     complete = ended == COMPLETE
     if command.json:

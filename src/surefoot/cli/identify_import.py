@@ -1,4 +1,4 @@
-"""`surefoot identify import`: a trace from a log that others recorded."""
+"""`surefoot identify import`: convert a log to a trace."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ GAINS = ("servo_kp", "servo_kd")
 
 @dataclass(frozen=True)
 class ImportCommand:
-    """Make a trace of somebody's log, row by row; what the log does not have is missing in the trace.
+    """Convert a log to a trace, row by row; columns that the log lacks are missing in the trace.
 
-    Without --map the log is an .npz file with arrays time, command, motor_angle and imu in the robot's own order. Of a
-    Go2, it may be a bag with /lowstate and /lowcmd, or a CSV file of its states.
+    Without --map the log must be an .npz file with the arrays time, command, motor_angle and imu in the robot's motor
+    order. A log of a Go2 may also be a ROS bag with /lowstate and /lowcmd, or a CSV file of its states.
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Log: .npz, .csv, .pkl, .pt, .mcap, .bag, or the folder of a ROS 2 bag."""
+    """Log file: .npz, .csv, .pkl, .pt, .parquet, .mcap, .bag, or the folder of a ROS 2 bag."""
     robot: str
-    """Name or folder of the robot's description."""
+    """Name of a released robot, or the folder of a robot."""
     out: Path
-    """Trace to write (.npz)."""
+    """Trace file to write (.npz)."""
     map: Path | None = None
-    """Which column is which motor, with units, signs and clock (.yaml)."""
+    """File (.yaml) that maps columns to motors, with their units, signs and clock."""
     between: Annotated[tuple[float, float] | None, tyro.conf.arg(metavar="START END")] = None
-    """Part of the log that becomes the trace [s], from its first row on."""
+    """Time interval of the log to convert [s], relative to its first row."""
     settings: Settings = ()
-    """Gains with which the robot was recorded, such as servo_kp=20 servo_kd=1.5: kept in the trace."""
+    """Gains of the recorded robot, such as servo_kp=20 servo_kd=1.5; they are stored in the trace."""
     any_checksum: bool = False
-    """Take messages of a Go2 whose checksum is wrong, too."""
+    """Also accept messages of a Go2 with a wrong checksum."""
     json: Json = False
 
 
@@ -55,15 +55,15 @@ def main(argv: list[str]) -> int:
 
     motion = import_log(command.file, robot, command.map, command.any_checksum)
     if command.between is not None:
-        motion = motion.between(*command.between)
+        motion = motion.crop(*command.between)
     if gains := parse_settings([word for group in command.settings for word in group]):
         if bad := [name for name in gains if name not in GAINS]:
-            raise SurefootError(f"--set names {bad[0]}, and a log has gains: {choices(GAINS)}")
+            raise SurefootError(f"--set names {bad[0]}; a log has only the gains {choices(GAINS)}")
         PhysicalParams.nominal(robot).with_values(robot, **gains)
         motion = replace(motion, gains={**motion.gains, **gains})
-    # States are imported without commands, those of a Go2 with commands in some rows too.
+    # Logs of states are imported without checking commands, also of a Go2 with commands in some rows.
     states = motion.read_at_row or not np.isfinite(motion.command).any()
-    timing = (motion if states else motion.checked()).timing()
+    timing = (motion if states else motion.require_replayable()).timing()
     notes, missing = [*motion.meta.get("notes", []), *check_log(motion, robot)], motion.missing()
     if not np.isfinite(motion.command).any():
         missing = ["command", *missing]
@@ -73,9 +73,9 @@ def main(argv: list[str]) -> int:
         return 0
     steps = [1e3 * timing[f"{name}_step"] for name in ("least", "median", "greatest")]
     print(f"{timing['rows']} rows, {timing['seconds']:.2f} s; steps of {steps[0]:.2f} to {steps[2]:.2f} ms, ", end="")
-    print(f"{steps[1]:.2f} in the middle")
+    print(f"median {steps[1]:.2f}")
     print(f"{100 * timing['repeated_times']:.1f} % of the times and ", end="")
-    print(f"{100 * timing['repeated_readings']:.1f} % of the readings repeat the row before; they are kept")
+    print(f"{100 * timing['repeated_readings']:.1f} % of the readings equal those of the previous row; they are kept")
     if missing:
         print(f"missing: {choices(missing)}")
     for note in notes:

@@ -1,4 +1,4 @@
-"""`surefoot identify replay`: the commands of a recorded run through the simulated robot, compared with the record."""
+"""`surefoot identify replay`: replay the commands of a recorded run on a simulated robot, and compare the readings."""
 
 from __future__ import annotations
 
@@ -25,25 +25,24 @@ GAINS = ("servo_kp", "servo_kd")
 
 @dataclass(frozen=True)
 class ReplayCommand:
-    """Send the commands of a recorded run, at their recorded times, through a simulated robot; compare the readings.
+    """Replay the commands of a recorded run, at their recorded times, on a simulated robot; compare the readings.
 
-    Errors are root mean squares from .3 s on: over the joints that move [rad], of each motor, of each channel of the
-    IMU. The robot stands on the ground, or hangs on a rack.
+    Errors are root mean squares, computed from 0.3 s on: over all joints that move [rad], for each motor, and for each
+    channel of the IMU. The robot stands on the ground or, with --rack, hangs on a rack.
     """
 
     trace: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="TRACE")]
-    """Trace, or an .npz file with arrays time, command, motor_angle and imu."""
+    """Trace file, or an .npz file with the arrays time, command, motor_angle and imu."""
     robot: RobotName = None
     params: Annotated[str | None, tyro.conf.arg(metavar="NAME|FILE")] = None
-    """Physical parameters: a file (.toml) or the name of one that ships with the robot; the data sheet's, if not
-    given."""
+    """File of physical parameters (.toml), or the name of one released with the robot. Defaults to the data sheet."""
     settings: Settings = ()
-    """Physical parameters that differ from these, such as contact_friction=0.8."""
+    """Physical parameters to change, such as contact_friction=0.8; they override --params."""
     world: World = "mujoco"
     rack: bool = False
-    """The robot hung with its base held still."""
+    """The recorded robot hung with its base fixed."""
     beside: Path | None = None
-    """Another record of the same commands to compare and draw, such as another simulator's."""
+    """Another recording of the same commands to compare and plot, such as from another simulator."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FIGURE")] = None
     """Figure to write (.png): angles and errors over time."""
     json: Json = False
@@ -75,7 +74,7 @@ def main(argv: list[str]) -> int:
         "rms": errors.rms,
         "rms_by_motor": dict(zip(robot.motor_names, map(plain_value, errors.by_motor.tolist()), strict=True)),
         "rms_imu": {name: plain_value(value) for name, value in errors.by_imu.items()},
-        "moving": [name for name, moves in zip(robot.motor_names, log.moving, strict=True) if moves],
+        "moving": [name for name, moves in zip(robot.motor_names, log.moving_joints, strict=True) if moves],
         "gains": {name: getattr(params, name)[0].tolist() for name in GAINS},
         "gains_from": source,
         "world": command.world,
@@ -96,7 +95,7 @@ def main(argv: list[str]) -> int:
     print(f"gains: {gains_text}, from {source}")
     print(f"root mean square over the joints that move: {errors.rms:.4f} rad")
     for name, value in report["rms_by_motor"].items():
-        moves = "" if name in report["moving"] else "  (stands)"
+        moves = "" if name in report["moving"] else "  (at rest)"
         print(f"  {name:<24} {'not read' if value is None else f'{value:.4f} rad'}{moves}")
     for name, value in report["rms_imu"].items():
         unit = "rad/s" if name.endswith("rate") else "rad"
@@ -109,7 +108,7 @@ def main(argv: list[str]) -> int:
 
 
 def _gains(log: RecordedMotion, robot: RobotDescription, command: ReplayCommand) -> tuple[dict[str, ParamValue], str]:
-    """Return the gains of a replay, unless --set changes them, and where they are from."""
+    """Return the gains of a replay, before changes by --set, and their source."""
     gains: dict[str, ParamValue] = {}
     source = "the data sheet"
     if command.params is not None:
@@ -125,6 +124,6 @@ def _gains(log: RecordedMotion, robot: RobotDescription, command: ReplayCommand)
 
 
 def _numbers(values: list[float]) -> str:
-    """Return numbers of motors as a text: one, if all are the same, else the least and the greatest."""
+    """Return one value per motor as text: the common value, or the range."""
     low, high = min(values), max(values)
     return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"

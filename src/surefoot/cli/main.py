@@ -1,4 +1,4 @@
-"""`surefoot`: find and run a command, report errors in one line."""
+"""`surefoot`: find and run a command, and report errors in one line."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from surefoot.errors import SurefootError, suggest
 from surefoot.stop_signals import INTERRUPTED, enable_interrupt, end_when_interrupted, was_interrupted
 
 GROUPS = {
-    "make a gait": {
+    "policies": {
         "train": "learn a gait in simulation",
-        "adopt": "bring in a policy that others trained",
-        "export": "write a policy for another deployer",
+        "adopt": "convert a third-party policy",
+        "export": "write a policy for another framework",
     },
-    "look at it": {
-        "show": "watch a policy in a window or as a video, and recorded runs in the browser",
-        "drive": "steer, push and change a simulated robot, on a page in the browser",
+    "watching": {
+        "show": "watch a policy in a window or as a video, or recorded runs in the browser",
+        "drive": "steer, push and modify a simulated robot on a page in the browser",
     },
-    "measure it": {
-        "evaluate": "measure policies in simulation, side by side, and find what breaks them",
-        "gap": "measure what policies lose in another world, or on a robot",
+    "evaluation": {
+        "evaluate": "measure and compare policies in simulation, and find what breaks them",
+        "gap": "measure the reality gap of policies in another world, or on a robot",
     },
     "robot": {
-        "robot": "describe any quadruped from its URDF or MJCF, check it, write its firmware",
-        "identify": "identify a robot's parameters by experiments or from logs; replay a recorded run",
-        "emulate": "emulate a robot: microcontroller and physics behind a pseudo-terminal",
-        "doctor": "check a policy, a link and a robot before it runs",
-        "deploy": "run a policy on a robot, or on an emulated one",
+        "robot": "import a quadruped from its URDF or MJCF, check it, and write its firmware",
+        "identify": "identify a robot's physical parameters by experiments or from logs",
+        "emulate": "emulate a robot: its microcontroller and physics, behind a pseudo-terminal or DDS",
+        "doctor": "check a policy, the link and the robot before deployment",
+        "deploy": "run a policy on a robot or an emulated robot",
     },
-    "science": {
-        "study": "compare groups of trainings, search settings, tune handcrafted gaits, report on the paper",
+    "research": {
+        "study": "compare groups of trainings, search hyperparameters, tune handcrafted gaits",
     },
 }
-"""Purpose of each command, by the heading of its group; command NAME is module surefoot.cli.NAME."""
+"""Purpose of each command, by group; command NAME is implemented in module surefoot.cli.NAME."""
 COMMANDS = {name: purpose for group in GROUPS.values() for name, purpose in group.items()}
-FORMER = {
+RENAMED_COMMANDS = {
     "play": "surefoot show POLICY, or for its --browser surefoot drive POLICY",
     "compare": "surefoot evaluate POLICY POLICY",
     "sensitivity": "surefoot evaluate sensitivity POLICY",
@@ -52,10 +52,10 @@ FORMER = {
     "tune": "surefoot study tune",
     "paper": "surefoot study paper",
 }
-"""Commands of earlier versions, and what to type now."""
+"""Commands of earlier versions, and their replacements."""
 _USAGE = """usage: surefoot COMMAND ...
 
-Agile gaits for quadruped robots, learned in simulation and carried to the robot.
+Agile gaits for quadruped robots, learned in simulation and deployed on the robot.
 
 {commands}
 
@@ -64,8 +64,8 @@ _MAX_ERROR_LENGTH = 2000
 
 
 def program() -> int:
-    """Run the process's own command, as `main`; imported libraries cost less time."""
-    # They make some hundred thousand objects, which stay: searched for garbage less often, and not at the end.
+    """Run the command of this process, as `main` does, with a garbage collector tuned for many imported libraries."""
+    # Imports create some hundred thousand permanent objects: collect garbage less often, and not at exit.
     gc.set_threshold(100_000, 20, 20)
     end_when_interrupted()
     try:
@@ -75,7 +75,7 @@ def program() -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run a command, by default that of the process; return 0, 2 for an error of the user, or 130 when interrupted."""
+    """Run a command, by default of this process; return 0, 2 after an invalid input, or 130 after an interrupt."""
     try:
         code = _run(list(sys.argv[1:] if argv is None else argv))
         sys.stdout.flush()
@@ -83,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except SurefootError as error:
         return _fail(str(error))
     except BrokenPipeError:
-        # The reader of the output is gone: nothing more can be written, not even at exit.
+        # The reader of the output has closed it; redirect it, so that flushing at exit does not fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 141
     except OSError as error:
@@ -110,12 +110,12 @@ def _run(words: list[str]) -> int:
     if words[0] == "--version":
         print(f"surefoot {__version__}")
         return 0
-    if words[0] in FORMER:
-        raise SurefootError(f"'{words[0]}' is no command any more; type {FORMER[words[0]]}")
+    if words[0] in RENAMED_COMMANDS:
+        raise SurefootError(f"'{words[0]}' is not a command any more; use {RENAMED_COMMANDS[words[0]]}")
     if words[0] not in COMMANDS:
         raise SurefootError(f"'{words[0]}' is not a command; {suggest(words[0], COMMANDS)}")
     if not all(word.isprintable() for word in words):
-        raise SurefootError("the arguments hold characters that can't be printed; use UTF-8 without control characters")
+        raise SurefootError("the arguments contain unprintable characters; use UTF-8 without control characters")
     enable_interrupt()
     code: int = importlib.import_module(f"surefoot.cli.{words[0]}").main(words[1:])
     return code
@@ -127,7 +127,7 @@ def _interrupted() -> int:
 
 
 def _fail(message: str) -> int:
-    """Print an error in one line. Text of files in it must not control the terminal."""
+    """Print an error in one line. It may quote text of files, so control characters are replaced."""
     line = " ".join(message.split())
     if len(line) > _MAX_ERROR_LENGTH:
         line = f"{line[:_MAX_ERROR_LENGTH]} ..."

@@ -1,4 +1,4 @@
-"""`surefoot robot`: from a URDF or MJCF to a robot to train, checks of its description, and its firmware."""
+"""`surefoot robot`: import a robot from a URDF or MJCF, check its description, and write its firmware."""
 
 from __future__ import annotations
 
@@ -19,48 +19,48 @@ from surefoot.cli.helpers.output import Actions, make_console, next_command, pri
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, check_name
 from surefoot.robot import RobotDescription
-from surefoot.robot.appearance import LOOKS
-from surefoot.robot.archive import SHEET
+from surefoot.robot.appearance import VISUALS_FILE
+from surefoot.robot.archive import DATA_SHEET
 from surefoot.robot.importing.imported import KNEE_SIGNS, ImportedRobot, Knees
 from surefoot.robot.importing.rules import describe_origins
 from surefoot.robot.importing.writer import URDF, set_servo_step, write_robot
 
 PICTURE = "robot.png"
-"""File of a robot's folder: the robot in its resting pose, axes and legs named."""
+"""Image in a robot's folder: the robot in its resting pose, with axes and names of legs."""
 
 
 @dataclass(frozen=True)
 class NewRobotCommand:
-    """Read a quadruped from a URDF or MJCF, and write its folder: robot.urdf, robot.toml and a picture.
+    """Import a quadruped from a URDF or MJCF, and write its folder: robot.urdf, robot.toml and an image.
 
-    Base, legs, motors, knees and feet are derived from the tree of joints. What the file lacks is guessed; every
-    guess is printed, and stands as a comment in robot.toml.
+    Base, legs, motors, knees and feet are derived from the tree of joints. Values that the file lacks are guessed; each
+    guess is printed, and marked by a comment in robot.toml.
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """URDF or MJCF of a robot with four serial legs of two or three motors."""
+    """URDF or MJCF of a robot with four serial legs, each with two or three motors."""
     out: Path | None = None
-    """Folder to write; the robot's name here, if not given."""
+    """Folder to write. Defaults to the robot's name in the current folder."""
     name: str | None = None
-    """Name of the robot; the file's, if not given."""
+    """Name of the robot. Defaults to the name in the file."""
     forward: Literal["+x", "-x", "+y", "-y"] | None = None
-    """Direction in the file's frame that is forward; by the names and axes of the joints, if not given."""
+    """Forward direction in the file's base frame. By default it is derived from names and axes of the joints."""
     knees: Knees | None = None
-    """Where knees point; by the knees' limits or a pose of the file, if not given."""
+    """Direction in which the knees point. By default it is derived from the knees' limits or a pose in the file."""
     meshes: bool = True
-    """Read meshes and colours; without them the base is a box with its inertia, and drawn are primitive shapes."""
+    """Read meshes and colours. With --no-meshes the base is a box with its inertia, and links are primitives."""
 
 
 @dataclass(frozen=True)
 class CheckCommand:
-    """Check a robot's description, one line a check: pass, warn or FAIL, why, and what to do.
+    """Check a robot's description; print one line per check (pass, warn or FAIL) with the reason and the remedy.
 
-    First it prints where each number of the data sheet comes from. Exit code 0: all passed, some perhaps with a
-    warning; 3: something failed; 2: the description can't be read.
+    The origin of each number in the data sheet is printed first. Exit codes: 0: all checks passed, some possibly with a
+    warning; 3: a check failed; 2: the description can't be read.
     """
 
     robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
-    """Name of a robot that ships, or the path of a robot's folder."""
+    """Name of a released robot, or the folder of a robot."""
     json: Json = False
 
 
@@ -72,7 +72,7 @@ def main(argv: list[str]) -> int:
 def _new(argv: list[str]) -> int:
     command = parse(NewRobotCommand, argv, "surefoot robot new")
     from surefoot.report.drawing.robot_picture import save_robot_picture
-    from surefoot.robot.importing.confined import read_robot
+    from surefoot.robot.importing.isolated_reader import read_robot
     from surefoot.world.description_checks import longest_servo_step
 
     imported = read_robot(command.file, command.forward, command.meshes)
@@ -85,7 +85,7 @@ def _new(argv: list[str]) -> int:
         f"forward is {imported.forward} of the file"
     )
     knees = command.knees or find_knees(imported)
-    with _whole_or_nothing(folder, (SHEET, URDF, LOOKS, PICTURE)):
+    with _whole_or_nothing(folder, (DATA_SHEET, URDF, VISUALS_FILE, PICTURE)):
         guesses = write_robot(imported, folder, name, knees)
         robot = RobotDescription.load(folder)
         if (step := longest_servo_step(robot)) < robot.timing.servo_step:
@@ -106,18 +106,18 @@ def _new(argv: list[str]) -> int:
 
 @contextmanager
 def _whole_or_nothing(folder: Path, names: Sequence[str]) -> Iterator[None]:
-    """Remove files of a robot's folder that are made inside, and the folder, where something fails.
+    """Remove the files of a robot's folder that were written inside, and the folder, if an error occurs.
 
-    A folder that `robot check` can't read is of no use to anybody.
+    A folder that `robot check` can't read would be useless.
     """
-    if (folder / SHEET).exists():  # a robot that was there before
+    if (folder / DATA_SHEET).exists():  # a robot that was there before
         yield
         return
     was_there = folder.exists()
     before = {name for name in names if (folder / name).exists()}
     try:
         yield
-    except Exception as error:  # after Ctrl-C what is there can be read
+    except Exception as error:  # after Ctrl-C the files remain
         for name in set(names) - before:
             with suppress(OSError):
                 (folder / name).unlink(missing_ok=True)
@@ -130,7 +130,7 @@ def _whole_or_nothing(folder: Path, names: Sequence[str]) -> Iterator[None]:
 
 
 def find_knees(robot: ImportedRobot) -> Knees | None:
-    """Print where knees point and what shows it; ask, if nothing shows it and there is somebody to ask."""
+    """Print the direction of the knees and the evidence for it; if it is uncertain, ask on a terminal."""
     knees, reason, uncertain = robot.guess_knees()
     if uncertain and sys.stdin.isatty():
         answer = Prompt.ask(f"Where do the knees point? {reason}", choices=list(KNEE_SIGNS), default=knees)
@@ -139,7 +139,7 @@ def find_knees(robot: ImportedRobot) -> Knees | None:
         others = "|".join(other for other in KNEE_SIGNS if other != knees)
         print(f"guessed  knees: {knees}; {reason}; --knees {others} changes it")
     else:
-        print(f"knees point {knees}, by {reason}")
+        print(f"knees point {knees}, according to {reason}")
     return None
 
 
@@ -174,7 +174,7 @@ def _run_checks(robot: RobotDescription, as_json: bool = False) -> int:
 
 
 ACTIONS: Actions = {
-    "new": ("read a robot from a URDF or MJCF, and write its folder", _new),
+    "new": ("import a robot from a URDF or MJCF, and write its folder", _new),
     "check": ("check a robot's description", _check),
-    "firmware": ("write the firmware of its microcontroller, and turn a motor", "surefoot.cli.robot_firmware"),
+    "firmware": ("write the firmware of its microcontroller, and try a motor", "surefoot.cli.robot_firmware"),
 }

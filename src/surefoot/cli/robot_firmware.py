@@ -1,4 +1,4 @@
-"""`surefoot robot firmware`: a robot's firmware as a folder of C, and the first motion of a motor."""
+"""`surefoot robot firmware`: write a robot's firmware as a folder of C, and try the first motion of a motor."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import tyro
 
 from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.helpers.link_options import SerialOptions
-from surefoot.cli.helpers.options import Port, Yes, ask_to_move, check_terminal
+from surefoot.cli.helpers.options import PLACES, Port, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.output import Actions, make_console, next_command, run_action
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
@@ -24,33 +24,33 @@ from surefoot.stop_signals import StopSignals
 
 @dataclass(frozen=True)
 class NewFirmwareCommand:
-    """Write the firmware of a robot's microcontroller: portable C11, with motors, gains and limits of its data sheet.
+    """Write the firmware of a robot's microcontroller in portable C11, with motors, gains and limits of the data sheet.
 
-    What touches a board is behind one header, core/hal.h. `make` in the folder compiles the firmware for this computer.
+    All access to the hardware is behind one header, core/hal.h. `make` in the folder compiles it for this computer.
     """
 
     robot: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="ROBOT")]
-    """Name of a robot that ships, or the path of a robot's folder."""
+    """Name of a released robot, or the folder of a robot."""
     out: Path | None = None
-    """Folder to write; ROBOT-firmware here, if not given."""
+    """Folder to write. Defaults to ROBOT-firmware in the current folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MotorCommand(SerialOptions):
-    """Give one motor of a robot that hangs free a small duty for a moment, without a servo: does it turn the right way?
+    """Turn one motor by a small duty for a moment, without the servo, to check its sign; the robot must hang freely.
 
-    A positive duty must increase the angle that is read. Exit code 0: it did; 3: it did not.
+    A positive duty must increase the measured angle. Exit codes: 0: it does; 3: it does not.
     """
 
     motor: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="MOTOR")]
     """Name of the motor, as in the robot's data sheet."""
     port: Port
     robot: str = DEFAULT_ROBOT
-    """Name or folder of the robot."""
+    """Name of a released robot, or the folder of a robot."""
     duty: Annotated[float, Within(-MAX_DUTY, MAX_DUTY)] = 0.05
-    """Of a joint actuator a share of its greatest torque."""
-    duration: Annotated[float, Within(0, 2, above=True)] = 0.3
-    """Time [s] after which it has no duty any more; it has none beyond .3 rad either."""
+    """Duty, -1 to 1. For joint actuators it is the fraction of the maximum torque."""
+    duration: Annotated[float, Within(0, 2, exclusive=True)] = 0.3
+    """Time after which the duty ends [s]; it also ends after 0.3 rad."""
     yes: Yes = False
 
 
@@ -68,7 +68,7 @@ def _new(argv: list[str]) -> int:
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise SurefootError(f"out {folder} exists; give another name")
     write_sources(folder, robot, word=command.robot)
-    print(f"wrote {folder}: the firmware of {robot.name}, {robot.num_motors} motors; begin with its README.md")
+    print(f"wrote {folder}: the firmware of {robot.name}, {robot.num_motors} motors; start with its README.md")
     print(f"to compile it for this computer: make -C {folder.absolute()}")
     print(next_command("emulate a robot with it", "emulate", "--robot", command.robot, "--firmware", folder / "board"))
     return 0
@@ -80,7 +80,7 @@ def _motor(argv: list[str]) -> int:
     if command.motor not in robot.motor_names:
         raise SurefootError(f"'{command.motor}' is no motor of {robot.name}; it has {choices(robot.motor_names)}")
     if not command.yes:
-        place = "hang free, its legs in the air"
+        place = PLACES[True]
         check_terminal(place)
         ask_to_move(place)
     link = command.open_port(command.port, robot.num_motors)
@@ -100,6 +100,6 @@ def _motor(argv: list[str]) -> int:
 
 
 ACTIONS: Actions = {
-    "new": ("write the firmware of a robot as a folder of C", _new),
-    "motor": ("turn one motor a little, without a servo", _motor),
+    "new": ("write the firmware of a robot as a folder of C sources", _new),
+    "motor": ("turn one motor a little, without the servo, to check its sign", _motor),
 }

@@ -1,4 +1,4 @@
-"""`surefoot show`: a policy in a window or as a video; recorded runs on a page in the browser, or as one file."""
+"""`surefoot show`: show a policy in a window or as a video, or recorded runs in the browser or as one file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.api.policies import POLICY, find_policy, shipped_policies
+from surefoot.api.policies import POLICY_FILE, find_policy, released_policies
 from surefoot.cli.helpers.options import PAGE_PORT, Host, PagePort, PolicyName, check_suffix
 from surefoot.cli.helpers.parsing import options, parse, positional_words
 from surefoot.cli.helpers.simulator import RunOptions
@@ -28,50 +28,55 @@ if TYPE_CHECKING:
     from surefoot.task.trace import EpisodeTrace
 
 _DURATION = 6.0
-"""Minimum duration of a run [s], if none is given."""
-_USAGE = """usage: surefoot show POLICY ...           run a policy once, in a window or as a video
-       surefoot show POLICY --contract     what the policy file says; nothing runs
-       surefoot show TRACE [TRACE ...]     recorded runs, on a page in the browser or as one file
+"""Minimum of the default duration of a run [s]."""
+_USAGE = """usage: surefoot show POLICY ...           run a policy once, and show it in a window or as a video
+       surefoot show POLICY --contract     print the contract of a policy file
+       surefoot show TRACE [TRACE ...]     show recorded runs on a page in the browser, or write them to one file
 
-A file of a run (.npz), or a folder of them without a policy, is a TRACE; anything else is a POLICY.
+TRACE is a recorded run (.npz), or a folder of recorded runs without a policy; anything else is a POLICY.
 """
 
 
 @dataclass(frozen=True)
 class ShowPolicyCommand(RunOptions):
-    """Run a policy once and show it: in MuJoCo's viewer where there is a display, else as an MP4.
+    """Run a policy once and show it, in MuJoCo's viewer if there is a display, or else as a video (MP4).
 
-    `surefoot drive` runs it on a page in the browser.
+    To run it on a page in the browser, see `surefoot drive`.
     """
 
     policy: PolicyName
     duration: Duration | None = None
-    """How long the robot runs, in simulated time; 6 s or, with --commands, its file to the end, if not given."""
+    """Duration in simulated time [s]. Defaults to 6 s or the --commands file, whichever is longer."""
     out: Path | None = None
-    """MP4 to write, display or not; POLICY.mp4 here, if not given and there is no display."""
+    """Video (.mp4) to write instead of opening a window. Without a display it defaults to POLICY.mp4."""
     contract: bool = False
-    """Run nothing; print what the policy file says: inputs, ranges of commands, gains, rates, map and notes."""
+    """Print the contract of the policy file (inputs, command ranges, gains, rates, height map and notes), and exit."""
 
 
 @dataclass(frozen=True)
 class ShowRunsCommand:
-    """Show recorded runs on a page in the browser: robots in 3D, a time line, and plots that follow it.
+    """Show recorded runs on a page in the browser: robots in 3D, a time line, and synchronized plots.
 
-    Runs may be of different robots and worlds: simulated, deployed, or logs made traces by `surefoot identify import`.
+    Runs may be from different robots and worlds: simulated, deployed, or logs converted by `surefoot identify import`.
     """
 
-    trace: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="TRACE [TRACE ...]")]
-    """Trace files (.npz), or folders of them; with --robot also .npz files with arrays time, command, motor_angle and
-    imu, which name no robot."""
+    trace: Annotated[
+        tuple[Path, ...],
+        tyro.conf.Positional,
+        tyro.conf.arg(
+            metavar="TRACE [TRACE ...]",
+            help="Trace files (.npz), or folders of them. With --robot also .npz files with the arrays time, command, "
+            "motor_angle and imu.",
+        ),
+    ]
     robot: str | None = None
-    """Name or folder of the robot of such files, or of traces in place of the robot that they carry."""
+    """Name or folder of the robot. It is required for such files; it replaces the robot stored in a trace."""
     terrain: Path | None = None
-    """Map (.npz, .png) on which robots stood: a trace has its name alone."""
+    """Height map (.npz, .png) of the run; a trace stores only its name."""
     layout: Literal["side", "over", "one"] = "side"
-    """Robots side by side, laid over each other, or one at a time; the page can change it."""
+    """Initial layout: robots side by side, overlaid, or one at a time."""
     out: Path | None = None
-    """File to write in place of serving: the whole page (.html), which opens in a browser without anything else, or of
-    a single run a video (.mp4)."""
+    """File to write instead of serving the page: a self-contained page (.html) or, of a single run, a video (.mp4)."""
     page_port: PagePort = PAGE_PORT
     host: Host = None
 
@@ -87,14 +92,14 @@ def main(argv: list[str]) -> int:
     for name in (word.partition("=")[0] for word in argv):
         if name in other and name not in own:
             what = "recorded run" if is_recorded else "policy"
-            raise SurefootError(f"{name} does not go with {words[0]}, a {what}; for every option: surefoot show --help")
+            raise SurefootError(f"{name} is not an option for {words[0]}, a {what}; all options: surefoot show --help")
     return _show_runs(argv) if is_recorded else _show_policy(argv)
 
 
 def _print_help(argv: list[str]) -> int:
-    """Print the options of both, or refuse a command line that names nothing to show."""
+    """Print the options of both forms; without --help, report that there is nothing to show."""
     if not {"-h", "--help"} & set(argv):
-        raise SurefootError("no POLICY and no TRACE is given; for every option: surefoot show --help")
+        raise SurefootError("neither POLICY nor TRACE is given; all options: surefoot show --help")
     print(_USAGE)
     for kind in (ShowPolicyCommand, ShowRunsCommand):
         try:
@@ -105,16 +110,16 @@ def _print_help(argv: list[str]) -> int:
 
 
 def _is_recorded(word: str) -> bool:
-    """Return whether a word names recorded runs, not a policy."""
+    """Return whether an argument names recorded runs rather than a policy."""
     path = Path(word)
     if path.is_dir():
-        is_policy = word in shipped_policies() or (path / "run.json").is_file()
-        return not (is_policy or (path / POLICY).is_file() or any(path.glob(f"*/{POLICY}")))
+        is_policy = word in released_policies() or (path / "run.json").is_file()
+        return not (is_policy or (path / POLICY_FILE).is_file() or any(path.glob(f"*/{POLICY_FILE}")))
     return path.name.endswith((".npz", f".npz{SUFFIX}"))
 
 
 def _note(text: str) -> None:
-    """Say what the command takes its argument for."""
+    """Print how the argument is interpreted."""
     print(f"surefoot: {text}", file=sys.stderr, flush=True)
 
 
@@ -133,12 +138,12 @@ def _show_policy(argv: list[str]) -> int:
     find_world(command.world)
     policy, robot, task, origin = load_gait(path, command.robot)
     task = command.apply(task, robot)
-    # The video's camera stands beside a robot that heads along x.
+    # The video's camera is placed for a robot that moves along x.
     task = replace(task, terrain=replace(task.terrain, heading=0.0))
     duration = command.duration or max(_DURATION, schedule_duration(task.commands.schedule))
     task = with_duration(task, robot, duration)
     window = command.out is None and has_display()
-    # Imported before anything is simulated, so that a missing package is reported at once.
+    # Import before the simulation, so that a missing package is reported immediately.
     for module in ("mujoco",) if window else ("imageio_ffmpeg", "PIL"):
         import_module(module)
     _note(f"{command.policy} is a policy: it runs in {command.world}, {'in a window' if window else 'for a video'}")
@@ -152,7 +157,7 @@ def _show_policy(argv: list[str]) -> int:
 
 
 def _print_contract(path: Path) -> int:
-    """Print what a policy file says."""
+    """Print the contract of a policy file."""
     from surefoot.api.policy_text import policy_rows
     from surefoot.policy.runtime import PolicyRuntime
 
@@ -171,7 +176,7 @@ def _show_runs(argv: list[str]) -> int:
     if out is not None and out.suffix.lower() not in (".html", ".mp4"):
         raise SurefootError(f"out {out}: the name must end in .html, or in .mp4 for a single run")
     if command.terrain is not None and not is_map(str(command.terrain)):
-        raise SurefootError(f"--terrain is {command.terrain}; it must be a map (.npz, .png): traces hold other terrain")
+        raise SurefootError(f"--terrain is {command.terrain}; it must be a height map (.npz, .png)")
     shown = _load_traces(command)
     what = f"{command.trace[0]} is a recorded run" if len(shown) == 1 else f"{len(shown)} recorded runs"
     if out is not None and out.suffix.lower() == ".mp4":
@@ -195,17 +200,18 @@ def _show_runs(argv: list[str]) -> int:
 def _film_run(shown: list[ShownTrace], out: Path, what: str) -> int:
     """Write the video of a single run."""
     from surefoot.api.episodes import film
-    from surefoot.evaluation.recorded import ground_of
+    from surefoot.evaluation.recorded import ground_for_trace
 
     if len(shown) > 1:
-        raise SurefootError(f"{len(shown)} runs are given; a video shows one, and a page (.html) all of them")
+        raise SurefootError(f"{len(shown)} runs are given; a video shows only one, a page (.html) shows all of them")
     _note(what)
-    print(f"wrote {film(shown[0].robot, shown[0].trace, out, ground_of(shown[0].trace, shown[0].map_file))}")
+    run = shown[0]
+    print(f"wrote {film(run.robot, run.trace, out, ground_for_trace(run.trace, run.map_file))}")
     return 0
 
 
 def _load_traces(command: ShowRunsCommand) -> list[ShownTrace]:
-    """Load traces and robots; a trace is named by its policy, and by world or file where that is not unique."""
+    """Load traces and robots; the title of a trace is its policy, with world or file name if that is not unique."""
     from surefoot.api.policies import distinct_names
     from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.identify.motion.importing import import_log
@@ -224,7 +230,7 @@ def _load_traces(command: ShowRunsCommand) -> list[ShownTrace]:
             traces.append((path, trace_from_motion(import_log(path, robot), robot)))
         else:
             traces += find_traces(path)
-    # Robots of one name may differ, where each trace carries its own.
+    # Robots with the same name may differ, since each trace contains its own description.
     robots: dict[tuple[str, bytes], RobotDescription] = {}
 
     def robot_of(path: Path, trace: EpisodeTrace) -> RobotDescription:
@@ -246,6 +252,6 @@ def _load_traces(command: ShowRunsCommand) -> list[ShownTrace]:
         )
     for title, (_, trace) in zip(titles, traces, strict=True):
         if is_map(name := str(trace.meta["terrain"])) and name != map_name:
-            print(f"{title} stood on the map {quote(name)}, which is not drawn: give its file with --terrain")
+            print(f"{title}: the height map {quote(name)} is not shown; give its file with --terrain")
     pairs = zip(titles, traces, strict=True)
     return [ShownTrace(title, robot_of(path, trace), trace, command.terrain) for title, (path, trace) in pairs]

@@ -1,4 +1,4 @@
-"""`surefoot study`: groups of trainings with several seeds and one evaluation of all of them; other studies by name."""
+"""`surefoot study`: compare groups of trainings with several seeds, and run other kinds of studies."""
 
 from __future__ import annotations
 
@@ -31,45 +31,48 @@ from surefoot.world.registry import check_takes_params
 class StudyCommand:
     """Train several groups with several seeds each, evaluate all policies, and write a report.
 
-    The same command, run again, goes on where it was stopped: finished runs are skipped, others go on from their
-    last checkpoint. Ctrl-C saves every run under way.
+    Ctrl-C saves all running trainings. The same command continues later: finished runs are skipped, and others continue
+    from their last checkpoint.
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """YAML file of the study."""
     out: Path | None = None
-    """Folder for the report with tables and figures, and for the runs, in runs/; results/NAME and runs/NAME, if not
-    given."""
+    """Folder for the report, with run folders in its subfolder runs. Defaults to results/NAME and runs/NAME."""
     workers: Workers = 0
     ray: Ray = None
     plugin: PluginNames = ()
     seeds: tuple[Seed, ...] = ()
-    """Seeds in place of the file's."""
+    """Seeds. Defaults to the seeds in the file."""
     steps: Steps | None = None
-    """Control steps of every training in place of the file's."""
+    """Control steps of every training. Defaults to the value in the file."""
     only: tuple[str, ...] = ()
-    """Groups to train and evaluate; all if not given. The report covers whatever is there."""
+    """Groups to train and evaluate. Defaults to all. The report always covers all finished runs."""
     train_only: bool = False
-    """Stop after training: no evaluation, no report."""
+    """Stop after training, without evaluation and report."""
     extend: bool = False
-    """Go on with runs that were trained for fewer steps than the file now asks for, in place of refusing them."""
+    """Continue runs that were trained for fewer steps than the file now specifies, instead of rejecting them."""
     report_only: bool = False
-    """Train nothing: evaluate the runs that are finished, and report what is there."""
+    """Evaluate finished runs and write the report, without training."""
 
 
 @dataclass(frozen=True)
 class IdentifyCommand:
-    """Identify the hidden robots of a study by four experiments each, as `surefoot study run` does first.
+    """Identify the hidden robots of a study by four experiments each, as `surefoot study run` does at its beginning.
 
-    Robots that are identified are skipped, so that the same command goes on where it was stopped.
+    The same command continues after an interruption: robots that have been identified are skipped.
     """
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """YAML file of the study."""
-    out: Path | None = None
-    """Folder for the report, with the robots' files in robots/, and for recordings, in runs/; results/NAME and
-    runs/NAME, if not given."""
-    workers: Annotated[Threads, tyro.conf.arg(help="Robots side by side; 0 means one a core.")] = 0
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="Folder for the report, with subfolders robots for identified robots and runs for recordings. "
+            "Defaults to results/NAME and runs/NAME.",
+        ),
+    ] = None
+    workers: Annotated[Threads, tyro.conf.arg(help="Robots in parallel; 0 means one per core.")] = 0
 
 
 def main(argv: list[str]) -> int:
@@ -78,14 +81,14 @@ def main(argv: list[str]) -> int:
     if word in ("", "-h", "--help") or word in ACTIONS:
         return run_action(argv, "study", ACTIONS)
     if not word.startswith("-") and not word.endswith((".yaml", ".yml")) and not Path(word).is_file():
-        raise SurefootError(f"'{word}' is neither the file of a study (.yaml) nor an action; {suggest(word, ACTIONS)}")
+        raise SurefootError(f"'{word}' is neither a study file (.yaml) nor an action; {suggest(word, ACTIONS)}")
     return _run(argv)
 
 
 def _run(argv: list[str]) -> int:
     command = parse(StudyCommand, argv, "surefoot study run")
     if command.train_only and command.report_only:
-        raise SurefootError("--train-only and --report-only leave nothing to do; give one of them, or neither")
+        raise SurefootError("--train-only and --report-only can't be combined; give one of them, or neither")
     from surefoot.cli.helpers.study_results import (
         check_evaluations,
         evaluate_runs,
@@ -103,8 +106,8 @@ def _run(argv: list[str]) -> int:
         study = study.with_steps(command.steps)
     root, out = _folders(study, command.out)
     console, failed = make_console(), dict[str, str]()
-    takes = any(study.groups[name].identified for name in command.only or study.groups if name in study.groups)
-    if study.robots is not None and takes and not command.report_only:
+    needs_robots = any(study.groups[name].identified for name in command.only or study.groups if name in study.groups)
+    if study.robots is not None and needs_robots and not command.report_only:
         failed = identify(study.robots, study.name, root, out, command.workers, console)
     runs = study_runs(study, root, command.only, robots_folder(out))
     for run in runs:
@@ -115,7 +118,7 @@ def _run(argv: list[str]) -> int:
         outcome = train(study, runs, command, console)
         failed |= outcome.failed
         if outcome.stopped:
-            console.print("Stopped; every run under way is saved. The same command goes on.")
+            console.print("Stopped; all running trainings are saved. The same command continues them.")
             return 130
     if not command.train_only:
         evaluate_runs(study, runs, root, command.workers, console)
@@ -130,7 +133,7 @@ def _folders(study: StudyConfig, out: Path | None) -> tuple[Path, Path]:
 
 
 def _end(failed: dict[str, str]) -> int:
-    """Print what failed; return the exit code."""
+    """Print the failures; return the exit code."""
     for name, line in failed.items():
         print(f"surefoot: error: {name}: {line}", file=sys.stderr)
     return 1 if failed else 0
@@ -141,22 +144,22 @@ def _identify(argv: list[str]) -> int:
     command = parse(IdentifyCommand, argv, "surefoot study identify")
     study = load_study(command.file)
     if study.robots is None:
-        raise SurefootError(f"{command.file}: the study has no robots to identify")
+        raise SurefootError(f"{command.file}: the study has no hidden robots to identify")
     check_takes_params(study.robots.world)
     return _end(identify(study.robots, study.name, *_folders(study, command.out), command.workers, make_console()))
 
 
 def identify(robots: HiddenRobots, name: str, root: Path, out: Path, workers: int, console: Console) -> dict[str, str]:
-    """Identify the robots of a study that are not identified yet; return what failed, by name.
+    """Identify the remaining robots of a study; return the errors of failed identifications, by robot name.
 
     Raises:
-        KeyboardInterrupt: the operator stopped.
+        KeyboardInterrupt: stopped by the operator.
     """
     from surefoot.cli.helpers.study_results import robots_folder
-    from surefoot.studies.robot_identification import identify_robots, waiting_robots
+    from surefoot.studies.robot_identification import identify_robots, unidentified_robots
 
     folder = robots_folder(out)
-    waiting, start, count = waiting_robots(robots, folder), time.perf_counter(), 0
+    waiting, start, count = unidentified_robots(robots, folder), time.perf_counter(), 0
     if not waiting:
         console.print(f"{name}: all {len(robots.seeds)} robots are identified")
         return {}
@@ -172,13 +175,13 @@ def identify(robots: HiddenRobots, name: str, root: Path, out: Path, workers: in
     with StopSignals(respect_nohup=True) as stops:
         failed = identify_robots(robots, folder, root / "robots", workers, ended, lambda: stops.count > 0)
     if stops.count:
-        console.print("Stopped; robots that are identified are kept. The same command goes on.")
+        console.print("Stopped; identified robots are saved. The same command continues.")
         raise KeyboardInterrupt
     return {robot_name(seed): error for seed, error in failed.items()}
 
 
 def train(study: StudyConfig, runs: list[Training], command: StudyCommand, console: Console) -> TrainingsOutcome:
-    """Train every run that is not finished, some at a time."""
+    """Train all runs that are not finished, several in parallel."""
     from surefoot.api.training import check_config
 
     waiting = [run for run in runs if run.state != "finished"]
@@ -194,9 +197,9 @@ def train(study: StudyConfig, runs: list[Training], command: StudyCommand, conso
 
 
 ACTIONS: Actions = {
-    "run": ("run the study of a file (`surefoot study FILE.yaml` does, too): groups of trainings, compared", _run),
-    "identify": ("identify the hidden robots of a study, which `run` does first", _identify),
-    "search": ("train many times with searched settings, and see what emerges", "surefoot.cli.study_search"),
-    "tune": ("find a handcrafted gait for a robot and a speed", "surefoot.cli.study_tune"),
-    "paper": ("write one page: the paper and surefoot's results side by side", "surefoot.cli.study_paper"),
+    "run": ("compare groups of trainings as a study file says; also: surefoot study FILE.yaml", _run),
+    "identify": ("only identify the hidden robots of a study, which run does first", _identify),
+    "search": ("search hyperparameters and task settings with many trainings", "surefoot.cli.study_search"),
+    "tune": ("optimize a handcrafted gait for a robot and a speed", "surefoot.cli.study_tune"),
+    "paper": ("write a page that compares the paper with surefoot's results", "surefoot.cli.study_paper"),
 }

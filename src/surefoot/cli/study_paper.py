@@ -1,4 +1,4 @@
-"""`surefoot study paper`: the paper and surefoot's results on one page."""
+"""`surefoot study paper`: write a page that compares the paper (Tan et al. 2018) with surefoot's results."""
 
 from __future__ import annotations
 
@@ -7,33 +7,40 @@ import sys
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from surefoot.cli.helpers.options import Ray, Workers, check_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError
 
 RUNS = Path("tools/paper_runs.py")
-"""Module of a clone that writes the page and makes what it shows."""
+"""Module of a clone that produces the results and writes the page."""
 
 
 @dataclass(frozen=True)
 class PaperCommand:
-    """Write one page with every table, figure and number of the paper, each beside surefoot's.
+    """Write a page with every table, figure and number of the paper next to surefoot's result.
 
-    The page is one HTML file that loads nothing from elsewhere. It reads the results that a clone of surefoot holds,
-    by the clone's own tools/paper_runs.py. With --quick or --full results are made anew, in a folder of their own:
-    every training, search and evaluation. Ctrl-C stops; the same command goes on.
+    The page is one self-contained HTML file, made from the results in a clone of surefoot by its tools/paper_runs.py.
+    With --quick or --full all results are produced again first, in a separate folder: every training, search and
+    evaluation. Ctrl-C stops; the same command continues.
     """
 
     root: Path = Path()
-    """Folder that holds `results`, `policies` and `docs`: a clone of surefoot."""
-    out: Path | None = None
-    """File of the page (.html); paper.html, if not given. With --quick or --full: folder for all that is made, and the
-    page paper.html in it; paper-quick or paper-full, if not given."""
+    """Clone of surefoot: the folder with `results`, `policies` and `docs`."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="File of the page (.html). Defaults to paper.html. With --quick or --full: folder for all results and "
+            "the page paper.html. Defaults to paper-quick or paper-full.",
+        ),
+    ] = None
     quick: bool = False
-    """Make a small version of everything first: some twenty minutes on two cores."""
+    """Produce a small version of all results first, which takes about twenty minutes on two cores."""
     full: bool = False
-    """Make everything first: days on two cores, fewer on a cluster."""
+    """Produce all results first, which takes days on two cores, or less on a cluster."""
     workers: Workers = 0
     ray: Ray = None
 
@@ -44,7 +51,7 @@ def main(argv: list[str]) -> int:
     if not (command.quick or command.full):
         check_suffix("out", command.out, ".html")
         if command.workers or command.ray:
-            raise SurefootError("--workers and --ray go with --quick or --full, and neither is given")
+            raise SurefootError("--workers and --ray require --quick or --full; neither is given")
     if not (command.root / RUNS).is_file():
         raise SurefootError(f"root is {command.root}; it must be a clone of surefoot, with {RUNS}")
     if command.quick and command.full:

@@ -1,4 +1,4 @@
-"""`surefoot study search`: many trainings with settings that Optuna proposes, and what they came to."""
+"""`surefoot study search`: hyperparameter search with Optuna, and a report of its result."""
 
 from __future__ import annotations
 
@@ -18,38 +18,43 @@ from surefoot.cli.helpers.training_queue import train_many
 from surefoot.configuration import Within
 from surefoot.errors import prefix_errors
 from surefoot.learn.config import Steps
-from surefoot.studies.search import Search, SearchConfig, check_holds_search, make_config
-from surefoot.studies.search_space import put
+from surefoot.studies.search import Search, SearchConfig, check_search_folder, make_config
+from surefoot.studies.search_space import with_values
 from surefoot.studies.workers import check_address
 
 
 @dataclass(frozen=True)
 class SearchCommand:
-    """Train many times with other settings each time, prune what falls behind, and report the best and what emerged.
+    """Search hyperparameters and task settings: run many trainings (trials), prune weak ones, and report the result.
 
-    Ctrl-C saves every trial under way; the same command with --resume goes on, after anything. Written to --out: the
-    journal (trials.log), a run folder for each trial (trials/), tables, figures and README.md.
+    Ctrl-C saves all running trials. The same command with --resume continues, even after a crash. Files in --out: the
+    journal (trials.log), one run folder per trial (trials/), tables, figures and README.md.
     """
 
     task: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="TASK")]
-    """Name of a task that ships, or the path of a YAML file."""
+    """Name of a released task, or the path of a YAML file."""
     trials: Annotated[int, Within(1, 100_000)] = 100
-    """Trials of the search, those that are there already included."""
+    """Total number of trials, including those that already exist."""
     workers: Workers = 0
-    space: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """YAML file of what is searched: fields of the training's configuration with their ranges or choices; the space
-    that ships, if not given."""
+    space: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            metavar="FILE",
+            help="YAML file of the search space: fields of the training's configuration with their ranges or choices. "
+            "Defaults to the released space.",
+        ),
+    ] = None
     ray: Ray = None
     plugin: PluginNames = ()
     out: Path | None = None
-    """Folder for everything; searches/NAME if not given."""
+    """Folder for all results. Defaults to searches/NAME."""
     seed: Seed = 0
     steps: Steps = 600_000
-    """Control steps of a trial that is not pruned."""
+    """Control steps of a complete trial."""
     resume: bool = False
-    """Go on with the search in the folder."""
+    """Continue the search in the folder --out."""
     report_only: bool = False
-    """Train nothing: report what is there."""
+    """Write the report of the existing trials, without training."""
 
 
 def main(argv: list[str]) -> int:
@@ -62,19 +67,19 @@ def main(argv: list[str]) -> int:
         check_address(command.ray)
     out = command.out or Path("searches") / config.train.task.name
     check_folder(out)
-    going_on = command.resume or command.report_only
-    if going_on:
-        check_holds_search(out)
+    continues = command.resume or command.report_only
+    if continues:
+        check_search_folder(out)
     _check(config)
     console = make_console()
     out.mkdir(parents=True, exist_ok=True)
     with folder_lock(out):
-        search = Search(config, out, going_on)
+        search = Search(config, out, continues)
         for note in search.notes:
             console.print(note)
         if not command.report_only and _train(search, command, console):
             again = shlex.join(["surefoot", "study", "search", *argv, *([] if command.resume else ["--resume"])])
-            console.print(f"Stopped; every trial under way is saved. To go on:\n  {again}")
+            console.print(f"Stopped; all running trials are saved. To continue:\n  {again}")
             return 130
         from surefoot.studies.search_report import write_report
         from surefoot.studies.search_result import collect_result
@@ -87,18 +92,18 @@ def main(argv: list[str]) -> int:
 
 
 def _check(config: SearchConfig) -> None:
-    """Refuse a task that can't be simulated, as it is or at either end of every range, before anything is trained."""
+    """Check, before any training, that the task can be simulated as it is and at both ends of every range."""
     from surefoot.api.training import check_config
 
     check_config(config.train)
     for end in (0, -1):
         values = {name: one.samples[end] for name, one in config.space.items()}
         with prefix_errors("space"):
-            check_config(put(config.train, config.space, values))
+            check_config(with_values(config.train, config.space, values))
 
 
 def _train(search: Search, command: SearchCommand, console: Console) -> bool:
-    """Run the trials that are missing; returns whether that was stopped."""
+    """Run the missing trials; return whether they were stopped."""
     counts = search.counts
     states = ", ".join(f"{count} {state}" for state, count in counts.items()) or "none yet"
     title = f"{search.config.train.task.name}: {command.trials} trials, {states}"
@@ -109,7 +114,7 @@ def _train(search: Search, command: SearchCommand, console: Console) -> bool:
     trainings, where = search.trainings(command.trials), (command.workers, command.ray, console)
     outcome = train_many(title, trainings, *where, search.on_report, search.on_change)
     hours = (time.monotonic() - start) / 3600
-    console.print(f"{len(outcome.done)} trials in {60 * hours:.1f} min: {len(outcome.done) / hours:.1f} an hour")
+    console.print(f"{len(outcome.done)} trials in {60 * hours:.1f} min: {len(outcome.done) / hours:.1f} per hour")
     for name, line in outcome.failed.items():
         console.print(f"failed: {name}: {line}")
     return outcome.stopped

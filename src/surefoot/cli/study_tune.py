@@ -1,9 +1,12 @@
-"""`surefoot study tune`: find a handcrafted gait for a robot and a speed."""
+"""`surefoot study tune`: optimize a handcrafted gait for a robot and a speed."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Annotated
+
+import tyro
 
 from surefoot.api.episodes import print_summaries
 from surefoot.api.policies import run_policy
@@ -18,19 +21,23 @@ from surefoot.task.handcrafted import HandcraftedGait
 
 @dataclass(frozen=True)
 class TuneCommand(TuneConfig):
-    """Tune foot trajectories for the least power at a speed, with CMA-ES, and measure them.
+    """Optimize the foot trajectories of a handcrafted gait for minimum power at a given speed, with CMA-ES.
 
-    The file is a task too: `surefoot train FILE` learns feedback on top of the trajectories.
+    The file that is written is also a task: `surefoot train FILE` learns feedback on top of the gait.
     """
 
     start_from: Path | None = None
-    """Handcrafted gait (.yaml) to begin with, such as one of another speed, or one without Raibert's controller."""
-    out: Path | None = None
-    """File (.yaml) that the gait is written to, the best so far after every generation; GAIT-SPEED.yaml here, if not
-    given. GAIT-SPEED-tuning.csv beside it has the least cost of each generation, those of the gait to begin with
-    first."""
+    """Handcrafted gait (.yaml) to start from, such as for another speed or without Raibert's controller."""
+    out: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="File (.yaml) for the best gait so far, updated after each generation. Defaults to GAIT-SPEED.yaml. "
+            "Next to it, GAIT-SPEED-tuning.csv contains the minimum cost of each generation, including the history of "
+            "--start-from.",
+        ),
+    ] = None
     episodes: Count = 20
-    """Episodes of 6 s in which the gait is measured at the end."""
+    """Number of episodes of 6 s in which the final gait is measured."""
 
 
 def main(argv: list[str]) -> int:

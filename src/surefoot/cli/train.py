@@ -1,4 +1,4 @@
-"""`surefoot train gallop | trot | FILE.yaml`: learn a gait; `surefoot train --resume RUN`: resume a run."""
+"""`surefoot train TASK`: train a policy; `surefoot train --resume RUN`: resume a training."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
 
-_USAGE = """usage: surefoot train TASK [options]                 learn a gait
+_USAGE = """usage: surefoot train TASK [options]                 train a policy
        surefoot train --resume RUN [--steps N]         resume a run exactly where it stopped, with its own options
-       surefoot train TASK --help                      every option, with the task's own values
+       surefoot train TASK --help                      list all options, with the task's values as defaults
 
 TASK is {tasks}, or the path of a YAML file.
 
-Besides the options that the last one lists:
+Options in addition to those that TASK --help lists:
 {ranges}"""
 
 _REFERENCE = "--task.reference."
@@ -66,25 +66,25 @@ def main(argv: list[str]) -> int:
 
 @dataclass(frozen=True)
 class ViewOptions:
-    """Options for where a training is watched."""
+    """Options for monitoring a training."""
 
     logger: LoggerName = "tensorboard"
-    """Log to TensorBoard's files in the run folder; wandb: to Weights & Biases as well."""
+    """Where to log; tensorboard: TensorBoard files in the run folder; wandb: also Weights & Biases."""
     browser: bool = False
-    """Show the newest policy on a page in the browser while it learns."""
+    """Show the newest policy on a page in the browser during the training."""
     page_port: PagePort = PAGE_PORT
     plugin: PluginNames = ()
 
     @property
     def page(self) -> int | None:
-        """The page's port; None: no page."""
+        """Port of the page, or None without a page."""
         if self.browser:
-            import_module("viser")  # a missing package is reported before there is a run
+            import_module("viser")  # a missing package is reported before the run folder is created
         return self.page_port if self.browser else None
 
     @property
     def logger_name(self) -> LoggerName:
-        """The logger, whose package is there."""
+        """The logger; its package is installed."""
         if self.logger == "wandb":
             import_module("wandb")  # as above
         return self.logger
@@ -92,32 +92,32 @@ class ViewOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ResumeCommand(ViewOptions):
-    """Resume a run exactly where it stopped; the run's own options hold."""
+    """Resume a run exactly where it stopped, with its own options."""
 
     resume: Path
     """Folder of the run."""
     steps: Steps | None = None
-    """Control steps of the whole run, more than it has done, in place of its own; a finished run goes on, too."""
+    """Total control steps, more than done so far; this also continues a finished run. Defaults to the run's value."""
 
 
 @dataclass(frozen=True)
 class TrainCommand(ViewOptions, TrainConfig):
-    """Learn a gait."""
+    """Train a policy."""
 
     simulator: SimulatorOptions = Simulator()
-    """Another simulator than the task's."""
+    """Differences from the task's simulator."""
     pushes: bool = False
-    """Push the robot at random, as the task says how hard and how often."""
-    robot: Annotated[str | None, tyro.conf.arg(help="Name or folder of the robot; the task's, if not given.")] = None
+    """Push the robot at random, with the force and frequency configured in the task."""
+    robot: Annotated[str | None, tyro.conf.arg(help="Name or folder of the robot. Defaults to the task's.")] = None
     settings: Settings = ()
-    """Physical parameters that differ from the task's, such as motor_strength=0.8."""
+    """Physical parameters to change, such as motor_strength=0.8."""
     out: Path = Path("runs")
-    """Folder for run folders."""
+    """Parent folder of the run folder."""
 
 
 def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
-    """Return the configuration of the arguments, with the task's values as defaults, and the command."""
-    # The other options and their defaults depend on these three.
+    """Return the configuration given by the arguments, with the task's values as defaults, and the command."""
+    # The other options and their defaults depend on --plugin, --robot and the kind of reference.
     load_plugins(_option_values(argv, "--plugin"))
     base = load_train_config(argv[0], next(reversed(_option_values(argv, "--robot")), None))
     for kind in _option_values(argv, f"{_REFERENCE}kind")[-1:]:
@@ -125,7 +125,7 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     _check_reference_options(argv, base.task.reference.kind)
     words, range_options = take_ranges(argv[1:])
     ranges = range_options.apply(base.task.robot, base.task.randomize)
-    # Ranges have options of their own: tyro's would take any count of numbers.
+    # Ranges are parsed separately, since tyro would accept any number of values.
     preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize={})})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     task = command.simulator.condition(command.settings, estimated_gains=False).simulate(command.task)
@@ -135,25 +135,25 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
 
 
 def _check_reference_options(argv: list[str], kind: str) -> None:
-    """Reject options of another kind of reference than the task's."""
+    """Reject options that belong to another kind of reference than the task's."""
     for name in [word.partition("=")[0] for word in argv if word.startswith(_REFERENCE)]:
         key = name.removeprefix(_REFERENCE).partition(".")[0].replace("-", "_")
         kinds = [option.kind for option in REFERENCES if key in field_bounds(option)]
         if kinds and kind not in kinds:
             raise SurefootError(
-                f"{name} is an option of references of kind {choices(kinds)}, and the task's is of kind {kind}; to "
+                f"{name} is an option of references of kind {choices(kinds)}, but the task's kind is {kind}; to "
                 f"change the kind: {_REFERENCE}kind {kinds[0]}"
             )
 
 
 def _option_values(argv: list[str], option: str) -> list[str]:
-    """Return the values of an option, as often as it is given."""
+    """Return the values of an option, which may be repeated."""
     pairs = [(*word.partition("="), after) for word, after in zip(argv, [*argv[1:], ""], strict=True)]
     return [value or after for name, _, value, after in pairs if name == option]
 
 
 def _resume(command: ResumeCommand) -> int:
-    """Resume a run, with more steps if that is asked for; return the exit code."""
+    """Resume a run, with more steps if requested; return the exit code."""
     from surefoot.learn.folder_lock import folder_lock
     from surefoot.learn.run_config import set_steps
     from surefoot.learn.run_folder import RunFolder
@@ -163,13 +163,13 @@ def _resume(command: ResumeCommand) -> int:
     if command.steps is not None:
         with folder_lock(folder.path):
             if command.steps <= (done := folder.saved_steps(folder.load())):
-                raise SurefootError(f"steps is {command.steps}, and {folder.path} has done {done}; give more")
+                raise SurefootError(f"steps is {command.steps}, but {folder.path} has already done {done}; give more")
             set_steps(folder.path, command.steps)
     return _train(folder, True, *options)
 
 
 def _print_next_commands(console: Console, folder: RunFolder) -> None:
-    """Print where the policy of a stopped run is, and the commands to go on with, as far as they work."""
+    """Print the policy file of a stopped run, if it exists, and the commands that can be run next."""
     if folder.policy.exists():
         console.print(f"policy: {folder.policy.absolute()}")
         console.print(next_command("drive it", "drive", folder.path))
@@ -178,9 +178,9 @@ def _print_next_commands(console: Console, folder: RunFolder) -> None:
 
 
 def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: LoggerName) -> int:
-    """Train in a run's folder, from its beginning or on from its last checkpoint; return the exit code."""
+    """Train in a run folder, from the beginning or from its last checkpoint; return the exit code."""
     from surefoot.api.episodes import print_summaries
-    from surefoot.api.training import EPISODE, run_training
+    from surefoot.api.training import EPISODE_FILE, run_training
 
     console = make_console()
     watch = None if page_port is None else partial(_page, port=page_port)
@@ -191,14 +191,14 @@ def _train(folder: RunFolder, resume: bool, page_port: int | None, logger: Logge
     reward = type(folder).open(folder.path)[1].task.reward
     print_summaries({kind.replace("_", " "): summary for kind, summary in summaries.items()}, reward)
     console.print(f"Policy, table, figures and video are in {folder.path}")
-    console.print(show_command([folder.path / "figures" / EPISODE]))
+    console.print(show_command([folder.path / "figures" / EPISODE_FILE]))
     console.print(next_command("drive it", "drive", folder.policy))
     return 0
 
 
 @contextmanager
 def _page(loop: TrainingLoop, port: int) -> Iterator[Callable[[], None]]:
-    """Show a training on a page in the browser; give what is called after every update."""
+    """Show a training on a page in the browser; yield the function to call after every update."""
     from surefoot.cli.helpers.train_page import TrainingPage
 
     with closing(TrainingPage(loop, port)) as page:

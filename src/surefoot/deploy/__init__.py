@@ -1,1 +1,1 @@
-"""To the robot: wire protocol, link, checks, control loop and safety. Nothing here needs a simulator."""
+"""Deployment on a robot: wire protocol, links, checks, control loop and safety. Nothing here needs a simulator."""

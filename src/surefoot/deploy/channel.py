@@ -1,4 +1,4 @@
-"""Channels: JSON datagrams by which other programs send to a deployment, on this computer (UDP, loopback address)."""
+"""UDP channels on the loopback address, by which other programs on this computer send JSON to a deployment."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from typing import Any, Generic, TypeVar
 from surefoot.errors import SurefootError
 
 _MAX_DATAGRAMS = 64
-"""Datagrams that are read at a time."""
+"""Maximum number of datagrams per read."""
 _ADDRESS = "127.0.0.1"
 
 T = TypeVar("T")
 
 
 class Channel(Generic[T]):
-    """The newest message of another program.
+    """Receives the newest message of another program.
 
     Args:
-        what: is sent, for errors.
-        port: to listen on; 0 lets the system choose.
-        parse: returns the message of a datagram's JSON, None if it is none.
-        max_bytes: length of the longest datagram.
-        clock: gives the time [s] by which messages age.
+        what: name of the option, for errors.
+        port: port to listen on; 0 lets the system choose one.
+        parse: returns the message in the JSON value of a datagram, or None if it is invalid.
+        max_bytes: maximum size of a datagram [bytes].
+        clock: returns the time that determines the age of messages [s].
 
     Raises:
-        SurefootError: the port is taken.
+        SurefootError: the port is in use.
     """
 
     def __init__(
@@ -43,9 +43,9 @@ class Channel(Generic[T]):
     ) -> None:
         self._parse, self._max_bytes, self._clock, self._received = parse, max_bytes, clock, -math.inf
         self.newest: T | None = None
-        """The newest message, as of the last `receive`."""
-        self.refused = 0
-        """Datagrams that were no messages."""
+        """Newest message at the last `receive`; None before the first one."""
+        self.rejected = 0
+        """Number of invalid datagrams."""
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind((_ADDRESS, port))
@@ -56,7 +56,7 @@ class Channel(Generic[T]):
         self.port = int(self._socket.getsockname()[1])
 
     def receive(self) -> float:
-        """Take what has arrived, at once; return the time since the newest message came [s]."""
+        """Read the datagrams that have arrived, without waiting; return the age of the newest message [s]."""
         for _ in range(_MAX_DATAGRAMS):
             try:
                 data = self._socket.recv(self._max_bytes + 1)
@@ -64,7 +64,7 @@ class Channel(Generic[T]):
                 break
             message = self._message(data)
             if message is None:
-                self.refused += 1
+                self.rejected += 1
             else:
                 self.newest, self._received = message, self._clock()
         return self._clock() - self._received
@@ -83,6 +83,6 @@ class Channel(Generic[T]):
 
 
 def send(port: int, message: dict[str, Any]) -> None:
-    """Send a message to a channel on this computer, whether or not somebody listens."""
+    """Send a message to a channel on this computer; it is lost if no program listens."""
     with contextlib.closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender:
         sender.sendto(json.dumps(message).encode(), (_ADDRESS, port))

@@ -1,4 +1,4 @@
-"""Clocks: the control computer's, one that an emulated robot follows, and how they relate to the robot's."""
+"""Clocks of the control computer, in real time and in lockstep, and their offset to the robot's clock."""
 
 from __future__ import annotations
 
@@ -7,48 +7,48 @@ import time
 from collections import deque
 from collections.abc import Callable
 
-SPIN = 150e-6
-"""Last part of a wait [s], in which the clock is polled: a sleeping process wakes too late by up to as much."""
-WINDOW = 10.0
-"""Time [s] in which the quickest frame is looked for. Clocks that differ by 50 ppm drift by 0.5 ms in it."""
+SPIN_TIME = 150e-6
+"""Final part of a wait in which the clock is polled [s]; a sleeping process may wake up late by as much."""
+SYNC_WINDOW = 10.0
+"""Time over which the fastest frame is searched [s]. Clocks that differ by 50 ppm drift apart by 0.5 ms in it."""
 
 
 class MonotonicClock:
-    """The computer's monotonic clock, in seconds from 0."""
+    """Monotonic clock of the computer; starts at 0 s."""
 
     def __init__(self) -> None:
         self._start = time.monotonic()
 
     def now(self) -> float:
-        """Return the time since the clock was made [s]."""
+        """Return the time since the clock was created [s]."""
         return time.monotonic() - self._start
 
     def wait_until(self, moment: float) -> None:
-        """Wait until `moment` [s]: sleep most of the time, then poll the clock."""
+        """Wait until `moment` [s]: sleep for most of the time, then poll the clock."""
         left = moment - self.now()
-        if left > SPIN:
-            time.sleep(left - SPIN)
+        if left > SPIN_TIME:
+            time.sleep(left - SPIN_TIME)
         while self.now() < moment:
             pass
 
 
 class LockstepClock:
-    """Time that passes only while the program waits; an emulated robot follows it, however fast the computer is."""
+    """Simulated clock that advances only while the program waits; an emulated robot follows it at any speed."""
 
     def __init__(self) -> None:
         self._now = 0.0
         self.follow: Callable[[], None] | None = None
-        """Runs the robot to the present and receives what it sends until then; set by the link."""
+        """Set by the link: runs the robot to the present time, and receives what it sends until then."""
 
     def now(self) -> float:
         """Return the time [s]."""
         return self._now
 
     def wait_until(self, moment: float) -> None:
-        """Advance time to `moment` [s], and receive what the robot sends until then.
+        """Advance the time to `moment` [s], and receive what the robot sends until then.
 
         Raises:
-            SurefootError: the robot does not follow.
+            SurefootError: the robot does not answer.
         """
         if moment > self._now:
             self._now = moment
@@ -60,13 +60,13 @@ Clock = MonotonicClock | LockstepClock
 
 
 class ClockSync:
-    """The least difference between arrival here and sending there, over the last `WINDOW` seconds.
+    """Offset between two clocks: the minimum of arrival time minus sending time over the last `SYNC_WINDOW` seconds.
 
-    The quickest frame is taken to arrive at once, so an age is the delay beyond the quickest frame's. The robot
-    measures the age of commands in the same way, in the other direction.
+    The fastest frame is assumed to arrive without delay, so the age of a frame is its delay relative to the fastest
+    one. The robot measures the age of commands in the same way, in the other direction.
 
     Args:
-        second: a second in the unit of all times: 1, or 1,000,000 for whole microseconds.
+        second: one second in the unit of all times: 1, or 1,000,000 for whole microseconds.
     """
 
     def __init__(self, second: int = 1) -> None:
@@ -74,23 +74,23 @@ class ClockSync:
         self._buckets: deque[tuple[float, float]] = deque()
 
     def add(self, sent: float, arrived: float) -> None:
-        """Take a frame: sent on the other clock, arrived on this one."""
+        """Add a frame, with the time it was sent on the other clock and its arrival on this one."""
         second, difference = arrived // self._second, arrived - sent
         if self._buckets and self._buckets[-1][0] == second:
             difference = min(difference, self._buckets.pop()[1])
         self._buckets.append((second, difference))
-        while self._buckets[0][0] < second - WINDOW:
+        while self._buckets[0][0] < second - SYNC_WINDOW:
             self._buckets.popleft()
 
     @property
     def offset(self) -> float:
-        """This clock's time when the other's is 0; infinite while nothing has arrived."""
+        """Time of this clock when the other clock shows 0; infinite before the first frame."""
         return min((difference for _, difference in self._buckets), default=math.inf)
 
     def age(self, sent: float, now: float) -> float:
-        """Return how long ago the other clock showed `sent`."""
+        """Return how long ago the other clock showed the time `sent`."""
         return now - (sent + self.offset)
 
-    def forget(self) -> None:
-        """Start anew, for a robot that was switched on again."""
+    def reset(self) -> None:
+        """Discard all frames, for a robot that has restarted."""
         self._buckets.clear()

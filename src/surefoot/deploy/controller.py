@@ -1,4 +1,4 @@
-"""The policy on a robot: from a state to motor angles, with the arithmetic of training."""
+"""Policy controller of one robot: from sensor readings to motor angles, with the same arithmetic as in training."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surefoot.deploy.safety import check_finite
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
-from surefoot.robot.commands import STAND
+from surefoot.robot.commands import STAND_COMMAND
 from surefoot.task.commands import CommandGenerator
 from surefoot.task.component import RobotComponent
 from surefoot.task.contract_mapping import task_from_contract
@@ -24,17 +24,17 @@ from surefoot.world.interface import SensorReadings
 
 
 class _OperatorCommand(CommandGenerator):
-    """The command that the operator gave last; it holds when an episode starts."""
+    """Last command of the operator; a new episode keeps it."""
 
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Keep the command."""
 
 
 class Controller:
-    """Observation, history, policy and reference for one robot, step by step.
+    """Observation, history, policy and reference gait of one robot, evaluated once per control step.
 
     Raises:
-        SurefootError: an observation that does not exist, or a gait that the robot does not allow.
+        SurefootError: an unknown observation, or a gait that is outside the robot's limits.
     """
 
     def __init__(self, policy: PolicyRuntime, robot: RobotDescription) -> None:
@@ -45,9 +45,9 @@ class Controller:
         self.gait = self.task.gait(robot)
         self.observation, self.feedback = np.zeros(self.observer.width), np.zeros(len(contract.action_names))
         self.target, self.inference = robot.resting_angles, 0.0
-        """The newest observation (O,), feedback (A,), motor angles (M,) [rad], and time of inference [s]."""
+        """Latest observation (O,), feedback (A,), motor target (M,) [rad] and inference time [s]."""
         self.heights: Array | None = None
-        """Heights of the ground (K,) [m] on the grid of the contract's map, for a policy that sees them."""
+        """Ground heights (K,) [m] on the height-map grid of the contract; None for a blind policy."""
         self._history: NDArray[np.float32] | None = None
         self._source = _OperatorCommand(1)
         self._components: list[RobotComponent] = []
@@ -56,22 +56,22 @@ class Controller:
         self._state: RobotState
 
     def reset(self) -> None:
-        """Start a new episode, with the command to stand."""
+        """Start a new episode with a zero velocity command."""
         self.feedback = np.zeros_like(self.feedback)
-        self._source.command[:] = STAND
+        self._source.command[:] = STAND_COMMAND
         self._history = None
 
     @property
     def command(self) -> Array:
-        """The command (3,), within the contract's limits: speeds [m/s], yaw rate [rad/s]."""
+        """Velocity command (3,) within the contract's limits: forward and lateral speed [m/s], yaw rate [rad/s]."""
         command: Array = self._source.command[0].copy()
         return command
 
     def set_command(self, command: ArrayLike) -> str:
-        """Set the command (3,) from the next control step on; return what was clamped, in words.
+        """Set the velocity command (3,) for the next control step; return a description of clamped values, or "".
 
         Raises:
-            SurefootError: a policy without commands, or not three finite numbers.
+            SurefootError: the policy follows no commands, or the command is not three finite numbers.
         """
         if self.contract.commands is None:
             raise SurefootError(f"policy '{self.contract.name}' has no commands to follow")
@@ -82,12 +82,12 @@ class Controller:
         """Return the policy's input (1, O * history), the newest observation first.
 
         Args:
-            moment: of the episode [s].
-            state: the newest state.
-            missed: control steps missed before; in the history they have the last step's observation.
+            moment: time since the start of the episode [s].
+            state: latest state of the robot.
+            missed: control steps missed before this one; the history repeats the previous observation for them.
 
         Raises:
-            NotFiniteError: a reading that is not finite.
+            NotFiniteError: a sensor reading is not finite.
         """
         readings = SensorReadings(
             time=np.array([moment]),
@@ -119,10 +119,10 @@ class Controller:
         return self._history.reshape(1, -1)
 
     def compute_target(self, moment: float, observation: NDArray[np.float32]) -> Array:
-        """Return motor angles (M,) [rad] for the policy's input at a moment of the episode [s].
+        """Run the policy on its input at time `moment` of the episode [s]; return the motor target (M,) [rad].
 
         Raises:
-            NotFiniteError: feedback or target that is not finite.
+            NotFiniteError: feedback or target is not finite.
         """
         started = time.perf_counter()
         self.feedback = np.asarray(self.policy.feedback(observation), float)[0]

@@ -1,4 +1,4 @@
-"""A policy on a robot from beginning to end: connect, check, arm, stand up, run, sit down, disarm."""
+"""Deployment of a policy on a robot: connect, check, arm, stand up, run, sit down, disarm."""
 
 from __future__ import annotations
 
@@ -19,46 +19,54 @@ from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.safety import GO, Act, Verdict
+from surefoot.deploy.speedometer import Speedometer
 from surefoot.errors import SurefootError, prefix_errors
-from surefoot.robot.commands import STAND
+from surefoot.robot.commands import STAND_COMMAND
 from surefoot.stop_signals import StopSignals
 
-_WARM_UP = 20
-_MAP_PATIENCE = 1.0
-"""Time [s] to wait for the first map of heights."""
-PUNCTUAL, TRIES = 200, 10
-"""Control steps that must pass without a fault before a robot is armed, and how often that is tried."""
+_WARM_UP_STEPS = 20
+_MAP_TIMEOUT = 1.0
+"""Maximum time to wait for the first height map [s]."""
+TIMING_STEPS, TIMING_ATTEMPTS = 200, 10
+"""Control steps of a timing check before the robot is armed, and the maximum number of checks."""
 
 
 @dataclass(frozen=True)
 class RunOutcome:
-    """How a run ended: in the word of traces (time, fall, fault or stopped), with a short reason, and as a sentence.
-
-    `safe`: whether the robot's or the computer's safety ended it.
-    """
+    """How a run ended."""
 
     ended: str
+    """Kind of end, as in traces: time, fall, fault or stopped."""
     reason: str
+    """Reason in one or two words."""
     text: str
+    """Description for the operator."""
     safe: bool
+    """Whether a safety function of the robot or of this computer ended the run."""
 
 
 class _Runner(MotionRunner):
-    """Motions during which maps are read too: the system would keep the oldest ones, and drop new ones."""
+    """Motion runner that also reads height maps: unread datagrams fill the socket, and new ones would be dropped."""
 
     maps: MapChannel | None = None
 
     def check_state(self, state: State) -> None:
-        """Take the maps that have arrived."""
+        """Read the height maps that have arrived."""
         if self.maps is not None:
             self.maps.read()
 
 
 class Deployment:
-    """One operator's use of a robot.
+    """A policy on a connected robot, from the connection to the end of its runs.
 
-    A dry run computes everything, and neither arms nor sends. Without a source of commands, a policy that has them
-    stands. A policy that sees the ground needs `maps`; it stands while these are late.
+    Args:
+        link: link to the robot.
+        controller: the policy's controller.
+        operator: stop requests of the operator.
+        monitor: receives progress and warnings.
+        dry_run: compute everything, but neither arm the robot nor send commands.
+        commands: source of velocity commands. Without one, a policy that follows commands stands.
+        maps: height maps, for a perceptive policy. The robot stands while they are late.
     """
 
     def __init__(
@@ -77,11 +85,11 @@ class Deployment:
         self.dry_run, self._moved = dry_run, False
 
     def connect(self, check: Callable[[Handshake], None]) -> None:
-        """Connect to the robot, check its handshake, and make sure that policy and computer keep time.
+        """Connect to the robot, check its handshake, and verify that policy and computer meet their deadlines.
 
         Raises:
-            SurefootError: no robot, another one, one that sends no state or must not be armed, a policy that fails, or
-                a computer that does not keep time.
+            SurefootError: no robot or another one, no states, a robot that must not be armed, a policy that fails, or a
+                computer that is too slow.
         """
         self.monitor.phase("connect", 0.0)
         try:
@@ -92,27 +100,27 @@ class Deployment:
             self._warm_up()
             if not self.link.lockstep:
                 self._check_timing()
-            if self.link.hears_others:
+            if self.link.detects_other_programs:
                 self.monitor.phase("listen for other programs", 0.0)
             if heard := self.link.listen():
-                raise SurefootError(f"the robot is not armed: {heard}; end it, also on the robot's own computer")
+                raise SurefootError(f"the robot is not armed: {heard}; stop it, also on the robot's own computer")
         except LinkLostError as error:
-            raise SurefootError(f"the robot was lost before it was armed: {error}") from error
+            raise SurefootError(f"connection lost before the robot was armed: {error}") from error
         self.controller.reset()
 
     def _await_map(self) -> None:
         maps = self.maps
         if maps is None:
             return
-        if self.link.wait_for(lambda: maps.read() is not None, _MAP_PATIENCE) and maps.newest is not None:
+        if self.link.wait_for(lambda: maps.read() is not None, _MAP_TIMEOUT) and maps.newest is not None:
             with prefix_errors("the robot is not armed"):
-                check_at_rest(maps.newest.sent, maps.grid, self.robot)
+                check_at_rest(maps.newest.unclipped, maps.grid, self.robot)
             return
-        why = f" ({maps.why})" if maps.why else ""
-        refused = f"; {maps.refused} datagrams were none of the policy's grid{why}" if maps.refused else ""
+        error = f" ({maps.last_error})" if maps.last_error else ""
+        rejected = f"; {maps.rejected} datagrams did not match the policy's grid{error}" if maps.rejected else ""
         raise SurefootError(
-            f"no map of heights arrives at port {maps.port} within {_MAP_PATIENCE:g} s{refused}; start the program "
-            "that sends it"
+            f"no height map arrived at port {maps.port} within {_MAP_TIMEOUT:g} s{rejected}; start the program that "
+            "sends it"
         )
 
     def _runner(self, timing: LoopTiming, tilt: float, dry_run: bool) -> MotionRunner:
@@ -130,38 +138,42 @@ class Deployment:
         return runner
 
     def _target(self, k: int, state: State, missed: int = 0) -> Array:
-        moment = k * self.contract.control_step
+        time = k * self.contract.control_step
         if self.maps is not None:
             self.controller.heights = self.maps.read()
             if not self.maps.is_fresh:
-                self.controller.set_command(STAND)
-        return self.controller.compute_target(moment, self.controller.observe(moment, state, missed))
+                self.controller.set_command(STAND_COMMAND)
+        return self.controller.compute_target(time, self.controller.observe(time, state, missed))
 
     def _warm_up(self) -> None:
-        """Run the policy some times: its first runs are slow, and a policy that fails should fail before arming."""
+        """Run the policy a few times: the first inferences are slow, and errors should occur before arming."""
         try:
-            for _ in range(_WARM_UP):
+            for _ in range(_WARM_UP_STEPS):
                 self._target(0, self.link.last_state())
         except SurefootError:
             raise
         except Exception as error:
             text = " ".join(str(error).split())
             raise SurefootError(
-                f"policy '{self.contract.name}' fails on the robot's present state: {type(error).__name__}: {text}"
+                f"policy '{self.contract.name}' fails in the robot's present state: {type(error).__name__}: {text}"
             ) from error
 
     def _check_timing(self) -> None:
-        """Run control steps as if the robot were armed, until the computer does them in time.
+        """Run control steps without commands until the computer meets all deadlines of a check.
 
-        First runs take longer. A busy computer, or a robot that should not be armed, is refused while nothing moves.
+        The first steps take longer. A busy computer, or a robot that must not be armed, is detected before anything
+        moves.
+
+        Raises:
+            SurefootError: no check passes.
         """
         verdict = GO
-        for _ in range(TRIES):
-            loop = self._runner(LoopTiming(PUNCTUAL + 1), math.inf, dry_run=True).loop
-            verdict = loop.follow("check timing", PUNCTUAL, self._target)
+        for _ in range(TIMING_ATTEMPTS):
+            loop = self._runner(LoopTiming(TIMING_STEPS + 1), math.inf, dry_run=True).loop
+            verdict = loop.run_phase("check timing", TIMING_STEPS, self._target)
             if verdict.act in (Act.GO, Act.SIT):
                 break
-        # `run` handles an operator who asks to stop; a battery or a motor at its limit is an error.
+        # `run` handles stop requests of the operator. A low battery or a hot motor is an error.
         if verdict.act is not Act.GO and not self.operator.stops:
             raise SurefootError(f"the robot is not armed: {verdict.text}")
 
@@ -169,7 +181,7 @@ class Deployment:
         """Arm, stand up, run the policy for `recorder.max_steps`, sit down, disarm.
 
         Raises:
-            SurefootError: the robot is not connected, or does not arm for its first run; nothing has moved.
+            SurefootError: the robot is not connected, or cannot be armed for its first run. Nothing has moved.
         """
         runner = self._runner(timing, self.controller.task.fall_angle, self.dry_run)
         if self.operator.stops:
@@ -183,20 +195,20 @@ class Deployment:
                 raise SurefootError(str(error)) from error
             return RunOutcome("fault", "arm", str(error), True)
         self._moved = True
-        verdict, ran = runner.stand_up(self.robot.pose_angles(*self.contract.rest)), False
+        verdict, policy_ran = runner.stand_up(self.robot.pose_angles(*self.contract.rest)), False
         if verdict.act is Act.GO and not self.dry_run:
             verdict = self._check_standing(self.link.last_state())
         if verdict.act is Act.GO:
-            verdict, ran = self._run_policy(runner.loop, recorder), True
-        return self._finish(runner, verdict, ran)
+            verdict, policy_ran = self._run_policy(runner.loop, recorder), True
+        return self._finish(runner, verdict, policy_ran)
 
     def _check_standing(self, state: State) -> Verdict:
-        """Return whether a standing robot may go on: the ground of its map must be under its feet."""
+        """Check that the ground of the height map is under the feet of the standing robot."""
         maps = self.maps
         if maps is None or maps.read() is None or maps.newest is None:
             return GO
         try:
-            check_standing(maps.newest.sent, maps.grid, self.robot, state.motor_angle, state.roll_pitch_yaw)
+            check_standing(maps.newest.unclipped, maps.grid, self.robot, state.motor_angle, state.roll_pitch_yaw)
         except SurefootError as error:
             return Verdict(Act.SIT, "map", str(error))
         return GO
@@ -204,6 +216,7 @@ class Deployment:
     def _run_policy(self, loop: ControlLoop, recorder: Recorder) -> Verdict:
         controller = self.controller
         controller.reset()
+        speedometer, shown = Speedometer(self.robot, self.contract.control_step), 0
         clamped = ""
 
         def compute(k: int, state: State, missed: int) -> Array:
@@ -217,15 +230,18 @@ class Deployment:
             if self.maps is not None:
                 loop.guard.map_age = self.maps.age
                 if not self.maps.is_fresh:
-                    loop.guard.warn("the map of heights was late; the robot stands until the next one")
+                    loop.guard.warn("the height map was late; the robot stands until the next one")
             return target
 
         def after(k: int, state: State, computed: bool) -> None:
+            nonlocal shown
             if k == 0:
                 recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
-            recorder.close(k, state)
+            speedometer.update(state, max(k - shown, 1))
+            shown, loop.speed = k, (*speedometer.velocity.tolist(), speedometer.distance)
+            recorder.complete_rows(k, state)
             if computed:
-                recorder.open(
+                recorder.start_row(
                     controller.observation,
                     controller.feedback,
                     controller.target,
@@ -233,15 +249,15 @@ class Deployment:
                     controller.heights,
                 )
 
-        return loop.follow("run", recorder.max_steps, compute, after)
+        return loop.run_phase("run", recorder.max_steps, compute, after)
 
-    def _finish(self, runner: MotionRunner, verdict: Verdict, ran: bool) -> RunOutcome:
-        """Bring the robot to rest, whatever ended the run, and whether the policy ran or not."""
+    def _finish(self, runner: MotionRunner, verdict: Verdict, policy_ran: bool) -> RunOutcome:
+        """Bring the robot to rest after a run, according to the verdict that ended it."""
         outcome = _outcome(verdict)
         try:
             if verdict.act in (Act.GO, Act.SIT):
-                # A robot that still lies would stall its motors to sit: it is disarmed as it is.
-                ending = runner.drop() if ran else runner.sit_down() if runner.risen else GO
+                # A lying robot is disarmed as it is: moving it to a sitting pose would stall the motors.
+                ending = runner.drop() if policy_ran else runner.sit_down() if runner.has_risen else GO
                 if ending.act is Act.GO and not self.dry_run:
                     ending = runner.disarm()
                 if ending.act is not Act.GO:
@@ -258,7 +274,7 @@ class Deployment:
         return outcome
 
     def close(self) -> None:
-        """End the session and the link."""
+        """End the session and close the link."""
         with contextlib.suppress(LinkLostError, OSError):
             self.link.close()
 

@@ -1,7 +1,7 @@
-"""The live display, in a process of its own, so that drawing never makes the control loop wait.
+"""Live display of a run in a separate process, so that drawing never delays the control loop.
 
-The loop's process writes each event as a line of JSON into a pipe that never blocks; what the pipe does not take is
-dropped. `python -m surefoot.deploy.display` reads the lines and draws.
+The process of the loop writes each event as a line of JSON into a non-blocking pipe; events are dropped if the pipe is
+full. `python -m surefoot.deploy.display` reads the lines and draws.
 """
 
 from __future__ import annotations
@@ -21,12 +21,18 @@ import numpy as np
 
 from surefoot.deploy.loop import RunMonitor, Snapshot
 
-WINDOW = 1000
-"""Steps of which the display shows the lateness."""
+LATENESS_WINDOW = 1000
+"""Number of control steps over which the display shows the lateness."""
 
 
 class LiveDisplay(RunMonitor):
-    """Starts the display's process, which runs a module until its input ends, and sends it what the loop does."""
+    """Monitor that starts a display process and sends it the events of the run.
+
+    Args:
+        title: title of the display.
+        module: module that the process runs until its input ends.
+        stdout: standard output of the process.
+    """
 
     def __init__(self, title: str, module: str = "surefoot.deploy.display", stdout: int | None = None) -> None:
         command = [sys.executable, "-m", module]
@@ -37,12 +43,12 @@ class LiveDisplay(RunMonitor):
         self._send(title=title)
 
     def _send(self, **message: Any) -> None:
-        # A pipe takes up to 4096 bytes whole or not at all. A display that has ended does not end the run.
+        # Writes of up to 4096 bytes are atomic. If the display has ended, the run continues.
         with contextlib.suppress(OSError):
             os.write(self._stdin.fileno(), json.dumps(message).encode()[:4095] + b"\n")
 
     def phase(self, name: str, duration: float) -> None:
-        """Show what the robot does."""
+        """Show the phase of the run."""
         self._send(phase=name, left=duration)
 
     def warn(self, text: str) -> None:
@@ -50,11 +56,11 @@ class LiveDisplay(RunMonitor):
         self._send(warning=text)
 
     def recording(self, text: str) -> None:
-        """Show a line about the recording."""
+        """Show a message about the recording."""
         self._send(recording=text)
 
     def tick(self, snapshot: Snapshot) -> None:
-        """Show the state of the loop."""
+        """Show the status of the control loop."""
         self._send(**self._message(snapshot))
 
     def _message(self, snapshot: Snapshot) -> dict[str, Any]:
@@ -72,10 +78,11 @@ class LiveDisplay(RunMonitor):
             "temperature": float(np.max(state.temperature)),
             "roll": round(float(state.roll_pitch_yaw[0]), 3),
             "pitch": round(float(state.roll_pitch_yaw[1]), 3),
+            "speed": None if snapshot.speed is None else [round(one, 2) for one in snapshot.speed],
         }
 
     def close(self) -> None:
-        """End the display; its last picture stays on the terminal."""
+        """End the display; its last output stays on the terminal."""
         with contextlib.suppress(OSError):
             self._stdin.close()
         try:
@@ -85,13 +92,13 @@ class LiveDisplay(RunMonitor):
 
 
 class PlainLines(RunMonitor):
-    """A line on standard error for each phase and warning, where there is no terminal.
+    """Monitor that prints a line on standard error for each phase and warning, for use without a terminal.
 
-    As the first of two base classes it passes on what it prints to the second.
+    As the first of two base classes, it also forwards each call to the second.
     """
 
     def phase(self, name: str, duration: float) -> None:
-        """Print what the robot does."""
+        """Print the phase of the run."""
         _print_line(name + (f" ({duration:.1f} s)" if duration > 0 else ""))
         super().phase(name, duration)
 
@@ -101,7 +108,7 @@ class PlainLines(RunMonitor):
         super().warn(text)
 
     def recording(self, text: str) -> None:
-        """Print a line about the recording."""
+        """Print a message about the recording."""
         _print_line(text)
         super().recording(text)
 
@@ -117,22 +124,22 @@ def open_display(title: str) -> LiveDisplay | PlainLines:
 
 
 class StatusPanel:
-    """What the display shows, from the messages that it received."""
+    """Content of the display, updated by the messages of a `LiveDisplay`."""
 
     def __init__(self) -> None:
         self.values: dict[str, Any] = {"phase": "", "title": "", "recording": ""}
         self.warnings: list[str] = []
-        self._lateness: deque[float] = deque(maxlen=WINDOW)
+        self._lateness: deque[float] = deque(maxlen=LATENESS_WINDOW)
 
     def update(self, message: dict[str, Any]) -> None:
-        """Take a message."""
+        """Process a message."""
         self._lateness.extend(message.pop("lateness", ()))
         if "warning" in message:
             self.warnings.append(str(message.pop("warning")))
         self.values.update(message)
 
     def rows(self) -> list[tuple[str, str]]:
-        """Return name and text of each line."""
+        """Return the name and value of each line."""
         values = self.values
 
         def text(key: str, form: str, unit: str) -> str:
@@ -141,8 +148,12 @@ class StatusPanel:
 
         late = "-"
         if self._lateness:
-            median, high, greatest = np.percentile(self._lateness, (50, 99, 100))
-            late = f"{median:.2f} median, {high:.2f} 99 %, {greatest:.2f} max ms"
+            median, high, maximum = np.percentile(self._lateness, (50, 99, 100))
+            late = f"{median:.2f} median, {high:.2f} 99 %, {maximum:.2f} max ms"
+        speed = "-"
+        if values.get("speed") is not None:
+            forward, left, distance = values["speed"]
+            speed = f"{forward:.2f} forward, {left:+.2f} left m/s, {distance:.1f} m"
         return [
             ("phase", str(values["phase"]) + (f", {values['left']:.1f} s left" if values.get("left") else "")),
             ("loop", text("rate", ".1f", "Hz")),
@@ -154,11 +165,12 @@ class StatusPanel:
             ("battery", text("voltage", ".1f", "V")),
             ("hottest motor", text("temperature", ".0f", "degC")),
             ("roll, pitch", f"{text('roll', '+.2f', '')}, {text('pitch', '+.2f', 'rad')}"),
+            ("estimated speed", speed),
             ("recording", str(values["recording"]).removeprefix("recording ") or "-"),
         ]
 
     def draw(self) -> Any:
-        """Return a panel for Rich."""
+        """Return the content as a Rich panel."""
         from rich.console import Group
         from rich.panel import Panel
         from rich.table import Table
@@ -172,7 +184,7 @@ class StatusPanel:
 
 
 def read_messages(lines: Iterable[str]) -> Iterator[dict[str, Any]]:
-    """Yield the messages of a `LiveDisplay`; lines that are no JSON object are skipped."""
+    """Yield the messages of a `LiveDisplay`; invalid lines are skipped."""
     for line in lines:
         with contextlib.suppress(ValueError):
             message = json.loads(line)
@@ -180,8 +192,8 @@ def read_messages(lines: Iterable[str]) -> Iterator[dict[str, Any]]:
                 yield message
 
 
-def show(lines: Iterable[str], stream: TextIO) -> None:
-    """Draw messages on a terminal until they end."""
+def draw_messages(lines: Iterable[str], stream: TextIO) -> None:
+    """Draw the messages of a run on a terminal until they end."""
     from rich.console import Console
 
     from surefoot.progress import ProgressDisplay
@@ -194,7 +206,7 @@ def show(lines: Iterable[str], stream: TextIO) -> None:
 
 
 def run_in_background() -> None:
-    """Ignore signals of the terminal, since the process ends with its input, and lower its priority."""
+    """Ignore signals of the terminal, since the process ends with its input, and use a low priority."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     with contextlib.suppress(OSError):
@@ -202,10 +214,10 @@ def run_in_background() -> None:
 
 
 def main() -> None:
-    """Run the display's process."""
+    """Run the display process."""
     run_in_background()
     with contextlib.suppress(OSError, ValueError):
-        show(sys.stdin, sys.stderr)
+        draw_messages(sys.stdin, sys.stderr)
 
 
 if __name__ == "__main__":

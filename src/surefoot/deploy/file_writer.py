@@ -1,9 +1,9 @@
-"""Write standard input to a file: the process behind `background_file`. It imports nothing, so that it starts at once.
+"""Writes standard input to a file: the child process of `background_file`. It imports little, so that it starts fast.
 
     python -I -S file_writer.py PATH PERIOD
 
-What has come is written every PERIOD seconds, and the rest when the input ends. The file is made or replaced with the
-first data. An error is written to standard output.
+Data are written every PERIOD seconds and when the input ends. The file is created or replaced with the first data. An
+error is written to standard output.
 """
 
 import os
@@ -14,9 +14,9 @@ _CHUNK = 1 << 20
 
 
 def write_input(path: str, period: float) -> None:
-    """Write standard input to a file every `period` [s] until it ends."""
+    """Write standard input to a file, every `period` [s] until it ends."""
     end = select.poll()
-    end.register(0, 0)  # no events: only the end of the input ends the wait early
+    end.register(0, 0)  # no events, so that only the end of the input ends the wait early
     file = -1
     while data := os.read(0, _CHUNK):
         if file < 0:
@@ -25,7 +25,7 @@ def write_input(path: str, period: float) -> None:
             data = data[os.write(file, data) :]
         end.poll(1e3 * period)
     if file >= 0:
-        os.close(file)  # some file systems report a full disk only here
+        os.close(file)  # some file systems report a full disk only now
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The one place that makes links to robots."""
+"""Factories of links to robots, over a serial port or DDS."""
 
 from __future__ import annotations
 
@@ -17,12 +17,16 @@ from surefoot.robot import RobotDescription
 
 
 def open_link(port: str, motors: int, lockstep: bool = False, baud: int = BAUD) -> RobotLink:
-    """Open a link to a robot with so many motors at a serial port, pseudo-terminal or Unix socket.
+    """Open a link to a robot at a serial port, pseudo-terminal or Unix socket.
 
-    In lockstep, the other end is an emulator that follows this computer's clock.
+    Args:
+        port: path of the port.
+        motors: number of motors of the robot.
+        lockstep: whether the other end is an emulator that follows this computer's clock.
+        baud: bit rate of a serial port [1/s].
 
     Raises:
-        SurefootError: a port that can't be opened, or that another program has.
+        SurefootError: the port cannot be opened, or another program uses it.
     """
     line = connect(port) if Path(port).is_socket() else SerialPort(port, baud)
     return SerialLink(line, Codec(motors), LockstepClock() if lockstep else MonotonicClock())
@@ -37,20 +41,20 @@ def open_dds_link(
     release: Callable[[str], bool] = lambda name: False,
     hand_back: bool = False,
 ) -> RobotLink:
-    """Observe a Go2 and open a link to it over DDS; results of what was checked are in its `preliminary_checks`.
+    """Check a Go2 and open a link to it over DDS; the results are in the link's `preliminary_checks`.
 
     Args:
-        robot: its description.
-        interface: name of the network interface that leads to it.
+        robot: description of the robot.
+        interface: name of the network interface that leads to the robot.
         domain: number of the DDS domain.
-        gains: kp and kd of all motors, or of each [N m/rad, N m s/rad]; the data sheet's, if not given.
-        silence: least time [s] without a command after which the motors are damped; the data sheet's, if that is more.
-        release: gets the name of the robot's own controller, if it is active, and returns whether the robot is to lie
-            down and its controller to be released.
-        hand_back: select the robot's own controller when the link is closed.
+        gains: servo gains kp and kd [N m/rad, N m s/rad], for all motors or for each. Default to the data sheet's.
+        silence: minimum time without a command after which the motors are damped [s], if over the data sheet's.
+        release: called with the name of the robot's own controller if that is active; returns whether to make the robot
+            lie down and to release its controller.
+        hand_back: whether to select the robot's own controller when the link is closed.
 
     Raises:
-        SurefootError: another robot, no cyclonedds, no such interface, no robot, or one that does not lie down.
+        SurefootError: another robot, no cyclonedds, no such interface, no robot, or a robot that does not lie down.
     """
     from surefoot.deploy.dds.dds_link import DdsLink, inspect, make_config
 

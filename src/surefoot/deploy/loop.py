@@ -1,6 +1,7 @@
-"""The control loop: one cycle for all phases, from an armed robot to one that is disarmed or damped.
+"""Control loop of a robot: the same control step in every phase of a run.
 
-A cycle waits until its step is due, receives states, checks, computes and sends; everything else comes afterwards.
+A control step waits until it is due, receives states, checks them, computes the target and sends it. Recording and
+display come afterwards.
 """
 
 from __future__ import annotations
@@ -16,67 +17,77 @@ from surefoot.arrays import Array
 from surefoot.deploy.messages import State
 from surefoot.deploy.pacer import LoopTiming, Pacer
 from surefoot.deploy.robot_link import LinkLostError, RobotLink
-from surefoot.deploy.safety import GO, OF_ROBOT, Act, Guard, NotFiniteError, Verdict
+from surefoot.deploy.safety import GO, ROBOT_REASON, Act, Guard, NotFiniteError, Verdict
 from surefoot.errors import SurefootError
 from surefoot.stop_signals import StopSignals
 
-Compute = Callable[[int, State, int], Array]
-"""Motor angles for a step: its number in the phase, the newest state, steps missed before it."""
-After = Callable[[int, State, bool], None]
-"""Called when a step's command has been sent: its number, the state that it saw, whether a command was computed."""
+ComputeTarget = Callable[[int, State, int], Array]
+"""Compute the motor target from the number of the control step, the latest state, and the steps missed before."""
+AfterStep = Callable[[int, State, bool], None]
+"""Called after the command was sent, with the step's number, its state, and whether a new target was computed."""
 
-EARLY = 0.0005
-"""Time [s] before a step is due at which the loop receives a first time, so that little is left to decode then."""
-PING_STEPS = 16
-"""Steps between two pings of a dry run: a silent operator may lose the robot to another one after a second."""
+EARLY_RECEIVE = 0.0005
+"""Time before a step is due at which states are received a first time, to leave little to decode then [s]."""
+PING_INTERVAL = 16
+"""Control steps between two pings of a dry run; after a second of silence another operator could take the robot."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """State of the control loop, for monitors. Times in s.
-
-    Since the last snapshot: `rate` of steps [Hz], `lateness` of each, and the longest `inference`, NaN without any. In
-    the whole run: steps `missed` and frames `dropped`, which were lost or damaged.
-    """
+    """Status of the control loop, for monitors. Times in s."""
 
     phase: str
     left: float
     """Time until the phase ends."""
     rate: float
+    """Control steps per second since the last snapshot [Hz]."""
     lateness: tuple[float, ...]
+    """Lateness of each step since the last snapshot."""
     inference: float
+    """Longest inference since the last snapshot; NaN if there was none."""
     missed: int
+    """Control steps missed in the whole run."""
     state_age: float
     state: State
     dropped: int
+    """Frames that were lost or damaged in the whole run."""
+    speed: tuple[float, float, float] | None = None
+    """Estimated speeds forward and to the left [m/s], and length of the path [m]; None while no policy runs."""
 
 
 class RunMonitor:
-    """No-op monitor of a run. Methods must return at once."""
+    """No-op monitor of a run. All methods must return immediately."""
 
     period = 0.1
-    """Time between two snapshots [s]."""
+    """Period of snapshots [s]."""
 
     def phase(self, name: str, duration: float) -> None:
-        """Take the name of a phase that starts, and its duration [s]."""
+        """Receive the name of a phase that starts, and its duration [s]."""
 
     def tick(self, snapshot: Snapshot) -> None:
-        """Take the state of the loop, once every `period`."""
+        """Receive the status of the control loop, once per `period`."""
 
     def warn(self, text: str) -> None:
-        """Take a warning for the operator."""
+        """Receive a warning for the operator."""
 
     def recording(self, text: str) -> None:
-        """Take a line about the recording."""
+        """Receive a message about the recording."""
 
     def close(self) -> None:
-        """End with the run."""
+        """Called at the end of the run."""
 
 
 class ControlLoop:
-    """Control steps of one run.
+    """Runs the control steps of one run on a robot.
 
-    `control_step` is the time between two commands [s]. A dry run computes everything and sends nothing.
+    Args:
+        link: link to the robot.
+        control_step: period of the commands [s].
+        guard: checks every state.
+        operator: stop requests of the operator.
+        monitor: receives progress and warnings.
+        timing: receives lateness and inference times.
+        dry_run: compute everything, but send no commands.
     """
 
     def __init__(
@@ -93,39 +104,41 @@ class ControlLoop:
         self.timing, self.dry_run, self.control_step = timing, dry_run, control_step
         self.pacer = Pacer(link.clock, control_step)
         self.target: Array | None = None
-        """Motor angles (M,) [rad] that were sent last, or duties if the guard's mode is that of duties."""
+        """Last motor target sent (M,): angles [rad], or duties in PWM mode."""
         self.inference = math.nan
-        """Time [s] that the policy took in this step; set by whoever runs it."""
+        """Inference time in this step [s]; set by the caller that runs the policy."""
+        self.speed: tuple[float, float, float] | None = None
+        """Estimated speeds and path length, see `Snapshot`; set by whoever runs the policy."""
         self._phase, self._steps = "", 0
         self._states = link.states
         self._reported, self._reported_steps, self._reported_warnings = -math.inf, 0, 0
         self._longest_inference = math.nan
 
-    def steps_of(self, duration: float) -> int:
-        """Return the control steps in a time [s], at least one."""
+    def num_steps(self, duration: float) -> int:
+        """Return the number of control steps in a time [s], at least one."""
         return max(round(duration / self.control_step), 1)
 
-    def follow(
+    def run_phase(
         self,
         phase: str,
         steps: int,
-        compute: Compute,
-        after: After | None = None,
+        compute: ComputeTarget,
+        after: AfterStep | None = None,
         upright: bool = True,
         sitting: bool = False,
     ) -> Verdict:
-        """Run a phase of `steps` control steps, and one more that sees how the last one ended and holds its target.
+        """Run a phase of `steps` control steps, and a final step that receives the last state and holds the target.
 
         Args:
-            phase: its name.
-            steps: how many, from 0.
-            compute: called in each step but the one more.
-            after: called after each step, and after the one more.
-            upright: whether a tilt is a fall.
-            sitting: the robot sits down anyway, so that only what damps it ends the phase early.
+            phase: name of the phase.
+            steps: number of control steps, 0 or more.
+            compute: computes the target, in each step except the final one.
+            after: called after each step, including the final one.
+            upright: whether a tilt beyond the limit counts as a fall.
+            sitting: whether the robot is sitting down already, so that only a verdict to damp ends the phase early.
 
         Returns:
-            `GO`, or what ended the phase early. Where that damps, the robot has been asked to.
+            `GO`, or the verdict that ended the phase early. If it is to damp, the request was already sent.
         """
         self.monitor.phase(phase, steps * self.control_step)
         self._phase, self._steps = phase, steps
@@ -136,12 +149,12 @@ class ControlLoop:
                 return verdict
 
     def _step(
-        self, steps: int, compute: Compute, after: After | None, upright: bool, sitting: bool
+        self, steps: int, compute: ComputeTarget, after: AfterStep | None, upright: bool, sitting: bool
     ) -> tuple[Verdict, int]:
         link, clock = self.link, self.link.clock
         try:
             if not link.lockstep:
-                clock.wait_until(self.pacer.due(self.pacer.index + 1) - EARLY)
+                clock.wait_until(self.pacer.due(self.pacer.index + 1) - EARLY_RECEIVE)
                 link.update()
             tick = self.pacer.next()
             link.update()
@@ -154,7 +167,7 @@ class ControlLoop:
             verdict = self.guard.check(
                 clock.now(), state, age, tick.missed, self.operator.stops, not self.dry_run, upright
             )
-            if verdict.reason.startswith(OF_ROBOT) and (text := link.fault_text(state.reason)):
+            if verdict.reason.startswith(ROBOT_REASON) and (text := link.fault_text(state.reason)):
                 verdict = replace(verdict, text=f"{verdict.text}: {text}")
             if sitting and verdict.act is Act.SIT:
                 verdict = GO
@@ -164,7 +177,7 @@ class ControlLoop:
                 if verdict.act is Act.GO and tick.index < steps:
                     self.target, computed = compute(tick.index, state, tick.missed), True
                 self._send()
-        except Exception as error:  # Whatever went wrong, the motors come first.
+        except Exception as error:  # Damp the motors first, whatever went wrong.
             self.damp()
             verdict = _failure(error)
         sent = clock.now() - tick.due
@@ -179,11 +192,11 @@ class ControlLoop:
         if not self.dry_run:
             if self.target is not None:
                 self.link.command(self.guard.mode, self.target)
-        elif self.timing.steps % PING_STEPS == 0:
+        elif self.timing.steps % PING_INTERVAL == 0:
             self.link.ping()
 
     def damp(self) -> None:
-        """Ask the robot to damp its motors, if the link is not lost."""
+        """Ask the robot to damp its motors, unless the link is lost."""
         if not self.dry_run:
             with contextlib.suppress(LinkLostError):
                 self.link.damp()
@@ -207,6 +220,7 @@ class ControlLoop:
                 state_age=self.link.state_age(),
                 state=state,
                 dropped=statistics.missing + statistics.damaged,
+                speed=self.speed,
             )
         )
         self._reported, self._reported_steps, self._longest_inference = now, self.timing.steps, math.nan

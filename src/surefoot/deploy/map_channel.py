@@ -1,10 +1,10 @@
-"""The map of the ground's heights that another program sends to a policy with the observation `height_scan`.
+"""UDP channel for the height maps of a perceptive policy, which another program sends.
 
-The channel is UDP on this computer's loopback address. A datagram is one JSON object: `heights` [m], of the ground over
-the base's origin, a list for each place of the grid ahead of it, from behind to ahead, each from the right to the left;
-null where a height isn't known. `age` [s] is how old they are, 0 if left out. The contract of the policy has the grid,
-in the heading frame. A datagram may state its own, as `ahead` and `left` [m], which must be the policy's. Other
-datagrams are counted and ignored.
+The channel listens on this computer's loopback address. A datagram is one JSON object. `heights` [m] are ground heights
+relative to the origin of the base, with z up: one list per row of the grid, from behind to ahead, and each row from
+right to left; null where the height is unknown. `age` [s] is the age of the map and defaults to 0. The grid, in the
+heading frame, is in the policy's contract. A datagram may state its grid as `ahead` and `left` [m], which must then be
+the policy's. Other datagrams are counted and ignored.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from surefoot.deploy.channel import Channel, send
 from surefoot.deploy.map_check import check_grid
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import HeightMap
-from surefoot.task.height_scan import RANGE
+from surefoot.task.height_scan import MAX_RELATIVE_HEIGHT
 
-FRESH = 0.3
-"""Time [s] over the age in training up to which a map is one to walk by; then the robot stands until the next one."""
+MAX_DELAY = 0.3
+"""Maximum age of a map in excess of its age in training [s]; with an older map, the robot stands until the next one."""
 _MAX_BYTES = 16384
 _MAX_AGE = 10.0
 
@@ -33,57 +33,57 @@ _MAX_AGE = 10.0
 @dataclass(frozen=True)
 class _Map:
     heights: Array
-    """(K,) [m], within the range of training."""
-    sent: Array
-    """The same as they were sent."""
+    """Heights (K,) [m], clipped to the range of training."""
+    unclipped: Array
+    """Heights (K,) [m] as they were sent, with unknown ones filled."""
     age: float
-    """When it was sent [s]."""
+    """Age of the map when it was sent [s]."""
 
 
 class MapChannel(Channel[_Map]):
-    """Maps of heights of another program, by UDP on the loopback address.
+    """Height maps from another program, by UDP on the loopback address.
 
     Args:
-        port: to listen on; 0 lets the system choose.
-        grid: the policy's.
-        clock: gives the time [s] by which maps age.
+        port: port to listen on; 0 lets the system choose one.
+        grid: grid of the policy's height map.
+        clock: returns the time that determines the age of maps [s].
 
     Raises:
-        SurefootError: the port is taken.
+        SurefootError: the port is in use.
     """
 
     def __init__(self, port: int, grid: HeightMap, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__("height_map", port, self._parse_or_explain, _MAX_BYTES, clock)
-        self.grid, self._limit = grid, grid.age + FRESH
-        self.why = ""
-        """Why the last datagram that was refused is no map of the policy's; empty, if it was not even a map."""
+        self.grid, self._max_age = grid, grid.age + MAX_DELAY
+        self.last_error = ""
+        """Why the last map did not match the policy's grid; "" if all did."""
         self.age = np.inf
-        """Age of the newest map [s], as of the last `read`."""
+        """Age of the newest map at the last `read` [s]."""
 
     def _parse_or_explain(self, values: Any) -> _Map | None:
         try:
             return _parse_map(values, self.grid)
         except SurefootError as error:
-            self.why = str(error)
+            self.last_error = str(error)
             raise
 
     def read(self) -> Array | None:
-        """Return the newest map's heights (K,) [m]; None before the first one."""
+        """Return the heights (K,) of the newest map [m]; None before the first one."""
         since, newest = self.receive(), self.newest
         self.age = np.inf if newest is None else newest.age + since
         return None if newest is None else newest.heights
 
     @property
     def is_fresh(self) -> bool:
-        """Whether the map of the last `read` is one to walk by."""
-        return bool(self.age < self._limit)
+        """Whether the map of the last `read` is recent enough to walk."""
+        return bool(self.age < self._max_age)
 
 
 def _parse_map(values: Any, grid: HeightMap) -> _Map | None:
-    """Return the map of a datagram's JSON; None if it is none, or has no height at all.
+    """Return the map in the JSON value of a datagram, or None if it is not a map, or has no known height.
 
     Raises:
-        SurefootError: a map of another grid.
+        SurefootError: the map has another grid.
     """
     if (
         not isinstance(values, dict)
@@ -108,18 +108,18 @@ def _parse_map(values: Any, grid: HeightMap) -> _Map | None:
     finite = np.isfinite(heights)
     if not finite.any():
         return None
-    # As in training, what isn't known is as high as what is under the base.
+    # As in training, unknown heights get the height under the base.
     distance = np.hypot(*np.meshgrid(grid.ahead, grid.left, indexing="ij")).ravel()
     heights[~finite] = heights[np.argmin(np.where(finite, distance, np.inf))]
-    return _Map(np.clip(heights, -RANGE, RANGE), heights, float(age))
+    return _Map(np.clip(heights, -MAX_RELATIVE_HEIGHT, MAX_RELATIVE_HEIGHT), heights, float(age))
 
 
 def send_map(
     port: int, heights: Sequence[Sequence[float | None]], age: float = 0.0, grid: HeightMap | None = None
 ) -> None:
-    """Send a map of heights [m], `age` [s] old, to the channel on this computer; see the module for its order.
+    """Send a height map [m], `age` [s] old, to the channel on this computer, in the order that the module describes.
 
-    `grid` states where its points are.
+    `grid` states the positions of its points.
     """
-    places = {} if grid is None else {"ahead": list(grid.ahead), "left": list(grid.left)}
-    send(port, {"heights": heights, "age": age, **places})
+    positions = {} if grid is None else {"ahead": list(grid.ahead), "left": list(grid.left)}
+    send(port, {"heights": heights, "age": age, **positions})

@@ -1,7 +1,7 @@
-"""A motion capture file, read into the rows of a trace.
+"""Motion capture files, resampled at the rows of a trace.
 
-The file is CSV with the header time,x,y,z,qw,qx,qy,qz and, if there are foot switches, contact_LEG for each leg. Time
-is on the robot's clock [s], positions are in metres, orientations unit quaternions.
+The file is CSV with the header time,x,y,z,qw,qx,qy,qz and, with foot switches, contact_LEG for each leg. Times are on
+the robot's clock [s], positions in metres, orientations unit quaternions.
 """
 
 from __future__ import annotations
@@ -16,22 +16,22 @@ from surefoot.files import check_readable
 from surefoot.rotations import quat_yaw
 
 COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
-MARGIN = 0.05
-"""Time [s] by which a file may begin late or end early; the nearest row counts there."""
+MAX_MISSING_TIME = 0.05
+"""Maximum time by which a file may begin late or end early [s]; the nearest row is used there."""
 
 
 def read_capture(path: Path) -> dict[str, Array]:
-    """Return the columns of a motion capture file, by name; rows out of order or cut off are left out.
+    """Return the columns of a motion capture file, by name; incomplete rows and rows out of order are skipped.
 
     Raises:
-        SurefootError: no such file, or one without the columns or with less than two rows.
+        SurefootError: no such file, missing columns, or fewer than two rows.
     """
     try:
         with describe_os_errors(f"motion capture {path}"):
             check_readable(path)
             lines = path.read_text(encoding="utf-8").splitlines()
     except UnicodeDecodeError as error:
-        raise SurefootError(f"motion capture {path}: can't be read: is not text") from error
+        raise SurefootError(f"motion capture {path} can't be read: it is not text") from error
     names = [name.strip() for name in lines[0].split(",")] if lines else []
     missing = [name for name in COLUMNS if name not in names]
     if missing:
@@ -39,7 +39,7 @@ def read_capture(path: Path) -> dict[str, Array]:
     time = names.index("time")
     rows: list[list[float]] = []
     for line in lines[1:]:
-        # The last line of a file that is still written may be cut anywhere.
+        # The last line of a file that is still being written may be incomplete.
         try:
             row = [float(word) for word in line.split(",")]
         except ValueError:
@@ -47,37 +47,38 @@ def read_capture(path: Path) -> dict[str, Array]:
         if len(row) == len(names) and np.isfinite(row).all() and (not rows or row[time] > rows[-1][time]):
             rows.append(row)
     if len(rows) < 2:
-        raise SurefootError(f"motion capture {path}: has {len(rows)} whole rows; it needs 2 or more")
+        raise SurefootError(f"motion capture {path}: has {len(rows)} complete rows; it needs 2 or more")
     return dict(zip(names, np.array(rows).T, strict=True))
 
 
 def base_and_feet(
     capture: dict[str, Array], start: float, control_step: float, steps: int, legs: tuple[str, ...]
 ) -> dict[str, Array]:
-    """Return base and feet at the rows of a trace, rotated and shifted so that it starts at x = y = 0 with yaw 0.
+    """Return motion of base and feet at the rows of a trace, transformed to start at x = y = 0 with yaw 0.
 
     Args:
-        capture: see `read_capture`.
-        start: the run's start on the robot's clock [s].
-        control_step: time between rows [s].
-        steps: T.
-        legs: names of the legs.
+        capture: columns from `read_capture`.
+        start: start of the run on the robot's clock [s].
+        control_step: period of the rows [s].
+        steps: number of rows T.
+        legs: names of the L legs.
 
     Returns:
-        base_position_world (T+1, 3), base_quat_world (T+1, 4) and foot_contact (T, L), NaN for legs without a switch.
+        base_position_world (T+1, 3) [m], base_quat_world (T+1, 4) and foot_contact (T, L), NaN for legs without a
+        switch.
 
     Raises:
         SurefootError: the file does not cover the run.
     """
     times, at = capture["time"], start + control_step * np.arange(steps + 1)
-    if times[0] > at[0] + MARGIN or times[-1] < at[-1] - MARGIN:
+    if times[0] > at[0] + MAX_MISSING_TIME or times[-1] < at[-1] - MAX_MISSING_TIME:
         raise SurefootError(
             f"motion capture covers {times[0]:.3f} to {times[-1]:.3f} s on the robot's clock; "
-            f"the run took place from {at[0]:.3f} to {at[-1]:.3f} s"
+            f"the run lasted from {at[0]:.3f} to {at[-1]:.3f} s"
         )
     position = np.stack([np.interp(at, times, capture[name]) for name in ("x", "y", "z")], axis=1)
     samples = np.stack([capture[name] for name in ("qw", "qx", "qy", "qz")], axis=1)
-    # q and -q are the same orientation: signs are chosen such that neighbours are near each other.
+    # q and -q are the same orientation; choose signs so that consecutive quaternions are close.
     flips = np.sum(samples[1:] * samples[:-1], axis=1) < 0.0
     samples *= np.where(np.cumsum(np.concatenate([[0], flips])) % 2, -1.0, 1.0)[:, None]
     quat = np.stack([np.interp(at, times, samples[:, k]) for k in range(4)], axis=1)
@@ -95,7 +96,7 @@ def base_and_feet(
 
 
 def _from_origin(position: Array, quat: Array) -> tuple[Array, Array]:
-    """Shift and rotate about z so that row 0 has x = y = 0 and yaw 0; heights stay."""
+    """Translate and rotate about z so that row 0 has x = y = 0 and yaw 0; heights are unchanged."""
     yaw = float(quat_yaw(quat[0]))
     cos, sin = np.cos(-yaw), np.sin(-yaw)
     x, y = (position[:, :2] - position[0, :2]).T

@@ -1,6 +1,6 @@
-"""Motions of a connected robot under control loop and guard, from arming to disarming.
+"""Scripted motions of a connected robot, such as standing up, run by the control loop and checked by the guard.
 
-Deployments, the doctor and identification use it. The link may lose frames, so requests that matter are repeated.
+Deployments, the doctor and identification use them. The link may lose frames, so important requests are repeated.
 """
 
 from __future__ import annotations
@@ -20,31 +20,37 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
-FLAT, FOLD, PAUSE, RISE, HOLD = 1.0, 1.0, 0.3, 1.5, 0.5
-"""Time [s] to lay the legs flat, to draw them in, to come to rest, to stand up, and to stand before the policy starts
-(as long as a robot settles in simulation)."""
-UP = FLAT + FOLD + PAUSE + RISE + HOLD
-"""Time [s] from arming to the policy's start."""
-DROP, REST, SIT = 0.2, 0.7, 1.5
-"""Time [s] to drop from a gait to sitting, to come to rest there, and to sit down from standing or from a fall."""
-DOWN = max(DROP + REST, SIT)
-"""Longest time [s] from the policy's end to disarming."""
+LAY_FLAT_TIME, FOLD_TIME, PAUSE_TIME, RISE_TIME, STAND_TIME = 1.0, 1.0, 0.3, 1.5, 0.5
+"""Durations of laying the legs flat, drawing them in, pausing, standing up, and standing before the policy starts [s].
+The last one is as long as a robot settles in simulation."""
+STARTUP_TIME = LAY_FLAT_TIME + FOLD_TIME + PAUSE_TIME + RISE_TIME + STAND_TIME
+"""Time from arming to the start of the policy [s]."""
+DROP_TIME, SITTING_TIME, SIT_DOWN_TIME = 0.2, 0.7, 1.5
+"""Durations of dropping from a gait to a sitting pose, of coming to rest there, and of sitting down slowly [s]."""
+SHUTDOWN_TIME = max(DROP_TIME + SITTING_TIME, SIT_DOWN_TIME)
+"""Maximum time from the end of the policy to disarming [s]."""
 STILL_SPEED = 0.5
-"""Speed [rad/s] of motors and base below which a fallen robot lies still."""
-_STILL_PATIENCE = 5.0
-_ANSWER, _PING, _ATTEMPTS = 0.3, 0.02, 5
+"""Maximum speed of motors and base at which a fallen robot counts as lying still [rad/s]."""
+_STILL_TIMEOUT = 5.0
+_ANSWER_TIMEOUT, _PING_PERIOD, _ATTEMPTS = 0.3, 0.02, 5
 _CLEAN_MARGIN = 0.1
 
 
 class MotionRunner:
-    """A connected robot that can be armed, moved and disarmed; each motion is smooth and checked by the guard.
+    """Arms, moves and disarms a connected robot; each motion is smooth and checked by the guard.
 
     Args:
-        control_step: time between two commands [s].
-        tilt: roll or pitch [rad] that is a fall; the limits', if not given.
-        mode: what the commands are.
-        lead: time [s] between a state's sending and the next command; the link's, if not given.
-        dry_run: compute everything and send nothing.
+        link: link to the robot.
+        robot: its description.
+        control_step: period of the commands [s].
+        operator: stop requests of the operator.
+        monitor: receives progress and warnings.
+        limits: safety limits. Default to the robot's.
+        tilt: roll or pitch that counts as a fall [rad]. Defaults to the safety limits' tilt.
+        mode: whether commands are angles or duties.
+        lead: time from the sending of a state to the next command [s]. Defaults to the link's.
+        timing: receives lateness and inference times.
+        dry_run: compute everything, but send no commands.
 
     Raises:
         SurefootError: the robot is not connected.
@@ -73,25 +79,25 @@ class MotionRunner:
         monitor, timing = monitor or RunMonitor(), timing or LoopTiming(0)
         self.loop = ControlLoop(link, control_step, guard, operator, monitor, timing, dry_run)
         self.clean_time = self.handshake.rearm_after + _CLEAN_MARGIN
-        """Time [s] of a clean link after which a damped robot arms, with a margin."""
-        self.risen = False
-        """Whether the robot has begun to rise from sitting, so that it must sit down again."""
+        """Time that the link must be clean before a damped robot can be armed, with a margin [s]."""
+        self.has_risen = False
+        """Whether the robot has started to stand up, so that it must sit down again."""
 
     @property
     def state(self) -> State:
-        """The newest state."""
+        """Latest state of the robot."""
         return self.link.last_state()
 
     @property
     def target(self) -> Array:
-        """Motor angles (M,) [rad] that were sent last, or else measured."""
+        """Last motor target sent (M,) [rad]; the measured angles if none was sent."""
         return self.loop.target if self.loop.target is not None else self.state.motor_angle
 
     def arm(self) -> None:
-        """Arm: servos hold the present pose, or motors have no duty.
+        """Arm the robot: servos hold the present pose, or motors get zero duty.
 
         Raises:
-            SurefootError: the robot does not arm; with its reason.
+            SurefootError: the robot cannot be armed; the message has the robot's reason.
         """
         if self.state.mode == Mode.FAULT or self.state.reason != Reason.NONE:
             self.ping_until(lambda: False, self.clean_time)
@@ -113,7 +119,7 @@ class MotionRunner:
         return faults[-1] if len(faults) > before else None
 
     def release(self, damp: bool = False) -> bool:
-        """Disarm the robot, or damp its motors, until it reports that; return whether it did."""
+        """Disarm the robot, or damp its motors; repeat until it confirms, and return whether it did."""
         request = self.loop.damp if damp else self.link.disarm
         if self._repeat_until(request, lambda: self.state.mode in (Mode.DISARMED, Mode.FAULT)):
             return True
@@ -121,13 +127,13 @@ class MotionRunner:
         return False
 
     def ping_until(self, condition: Callable[[], bool], timeout: float) -> bool:
-        """Wait until a condition holds, at most `timeout` [s], and ping meanwhile; return whether it does."""
-        return self.link.ping_until(condition, timeout, _PING)
+        """Ping until a condition holds, at most `timeout` [s]; return whether it holds."""
+        return self.link.ping_until(condition, timeout, _PING_PERIOD)
 
     def _repeat_until(self, request: Callable[[], None], condition: Callable[[], bool]) -> bool:
         for _ in range(_ATTEMPTS):
             request()
-            if self.link.wait_for(condition, _ANSWER / _ATTEMPTS):
+            if self.link.wait_for(condition, _ANSWER_TIMEOUT / _ATTEMPTS):
                 return True
         return False
 
@@ -140,75 +146,78 @@ class MotionRunner:
         upright: bool = True,
         sitting: bool = False,
     ) -> Verdict:
-        """Move smoothly to a pose, and return the verdict of `ControlLoop.follow`.
+        """Move to a pose along a minimum-jerk trajectory; return the verdict of `ControlLoop.run_phase`.
 
-        Targets are clipped to the angles that the robot takes: it may be switched on in a pose beyond them.
+        Targets are clipped to the robot's angle limits: when switched on, it may be in a pose beyond them.
 
         Args:
             phase: name of the motion.
-            end: motor angles (M,) [rad].
-            duration: [s].
-            start: motor angles (M,) [rad] to start from; the present target, if not given.
-            upright: see `ControlLoop.follow`.
-            sitting: see `ControlLoop.follow`.
+            end: final motor angles (M,) [rad].
+            duration: duration of the motion [s].
+            start: initial motor angles (M,) [rad]. Default to the present target.
+            upright: see `ControlLoop.run_phase`.
+            sitting: see `ControlLoop.run_phase`.
         """
-        start, steps = self.target if start is None else start, self.loop.steps_of(duration)
+        start, steps = self.target if start is None else start, self.loop.num_steps(duration)
 
         def compute(k: int, state: State, missed: int) -> Array:
             self.check_state(state)
             target = minimum_jerk(start, end, (k + 1) / steps)
             return np.clip(target, self.handshake.angle_low, self.handshake.angle_high)
 
-        return self.loop.follow(phase, steps, compute, upright=upright, sitting=sitting)
+        return self.loop.run_phase(phase, steps, compute, upright=upright, sitting=sitting)
 
     def check_state(self, state: State) -> None:
-        """Check the newest state before each command of a motion; an exception damps the motors."""
+        """Check the latest state before each command of a motion; an exception damps the motors."""
 
     def stand_up(self, standing: Array) -> Verdict:
-        """Rise to motor angles (M,) [rad] from wherever the legs lie.
+        """Stand up to motor angles (M,) [rad] from any lying pose.
 
-        A damped robot sinks onto its belly, and its legs slide out. They are laid flat and drawn in first: with the
-        feet out at the side, motors stall at full current, and then the robot leaps.
+        A damped robot sinks onto its belly, and its legs slide outward. They are first laid flat and drawn in. With the
+        feet far out, the motors would stall at full current, and then the robot would leap.
         """
         present = self.state.motor_angle
         flat, drawn = lying_pose(self.robot, present), sitting_pose(self.robot)
         for phase, start, end, duration in (
-            ("lay legs flat", present, flat, FLAT),
-            ("draw legs in", flat, drawn, FOLD),
-            ("sit", drawn, drawn, PAUSE),
-            ("stand up", drawn, standing, RISE),
-            ("stand", standing, standing, HOLD),
+            ("lay legs flat", present, flat, LAY_FLAT_TIME),
+            ("draw legs in", flat, drawn, FOLD_TIME),
+            ("sit", drawn, drawn, PAUSE_TIME),
+            ("stand up", drawn, standing, RISE_TIME),
+            ("stand", standing, standing, STAND_TIME),
         ):
-            self.risen = self.risen or phase == "stand up"
+            self.has_risen = self.has_risen or phase == "stand up"
             verdict = self.move(phase, end, duration, start)
             if verdict.act is not Act.GO:
                 return verdict
         return GO
 
     def drop(self) -> Verdict:
-        """Drop from a gait to sitting, and come to rest there: a fast robot would stumble in a slow change to standing.
+        """Drop from a gait to the sitting pose and come to rest; in a slow transition a fast robot would stumble.
 
-        A tilt beyond the limit is no fall here, since damped motors would do no better. The robot's own limit holds.
+        A tilt beyond the limit is not a fall here, since damping would not help. The robot's own limit still holds.
         """
         drawn = sitting_pose(self.robot)
-        verdict = self.move("drop", drawn, DROP, upright=False, sitting=True)
+        verdict = self.move("drop", drawn, DROP_TIME, upright=False, sitting=True)
         if verdict.act is not Act.GO:
             return verdict
-        return self.move("sit", drawn, REST, start=drawn, upright=False, sitting=True)
+        return self.move("sit", drawn, SITTING_TIME, start=drawn, upright=False, sitting=True)
 
     def sit_down(self, upright: bool = True) -> Verdict:
-        """Sit down slowly from the last target."""
-        return self.move("sit down", sitting_pose(self.robot), SIT, upright=upright, sitting=True)
+        """Move slowly from the last target to the sitting pose."""
+        return self.move("sit down", sitting_pose(self.robot), SIT_DOWN_TIME, upright=upright, sitting=True)
 
     def disarm(self) -> Verdict:
-        """End commands in good order."""
+        """Disarm the robot normally, and return `GO` if it confirms."""
         self.loop.monitor.phase("disarm", 0.0)
-        return GO if self.release() else Verdict(Act.DAMP, "disarm", "the robot does not report that it has disarmed")
+        return GO if self.release() else Verdict(Act.DAMP, "disarm", "the robot does not confirm that it is disarmed")
 
     def recover_from_fall(self) -> str:
-        """Wait until a damped robot lies still, then let it sit, unless it lies on its side; return the result."""
+        """Damp the motors until a fallen robot lies still, then move it to the sitting pose; return the result as text.
+
+        A robot that lies on its side stays damped.
+        """
         self.release(damp=True)
-        self.loop.monitor.phase("lie still", _STILL_PATIENCE)
+        self.loop.monitor.phase("lie still", _STILL_TIMEOUT)
         clock = self.link.clock
         earliest = clock.now() + self.clean_time
 
@@ -216,7 +225,7 @@ class MotionRunner:
             speed = max(np.abs(self.state.motor_velocity).max(), np.abs(self.state.angular_velocity_base).max())
             return clock.now() >= earliest and bool(speed < STILL_SPEED)
 
-        if not self.ping_until(still, _STILL_PATIENCE):
+        if not self.ping_until(still, _STILL_TIMEOUT):
             return "it does not come to rest and stays damped"
         if np.abs(self.state.roll_pitch_yaw[:2]).max() > self.handshake.tilt_limit:
             return "it lies on its side and stays damped"

@@ -1,4 +1,4 @@
-"""Timing of the control loop: due times, lateness and missed steps, and what keeps the process in time."""
+"""Timing of the control loop: due times, lateness, missed steps, and real-time priority of the process."""
 
 from __future__ import annotations
 
@@ -16,40 +16,44 @@ from surefoot.deploy.clock import Clock
 
 _ROUNDING = 1e-9
 PRIORITY = 20
-"""Priority, 1 to 99, among real-time processes: above ordinary processes, below the kernel's own threads at 50."""
+"""Real-time priority, 1 to 99: above ordinary processes, below the kernel's own threads at 50."""
 BOARD_PRIORITY = 30
-"""Priority of a process that is the robot's board, with all its threads: above the control loop that it watches."""
+"""Real-time priority of a process that acts as the robot's board: above the control loop that it supervises."""
 _NICE = -10
-_SWITCH = 1e-4
-"""Longest time [s] for which another thread of this process keeps the loop's thread from running."""
+_SWITCH_INTERVAL = 1e-4
+"""Maximum time for which another thread of this process delays the thread of the loop [s]."""
 
 
 @dataclass(frozen=True)
 class Tick:
-    """A control step that starts: its number, missed steps included, when it was due [s], and steps missed before it.
-
-    `late` is the delay [s] after the first step that was due since the last tick.
-    """
+    """Start of a control step."""
 
     index: int
+    """Number of the step, with missed steps included."""
     due: float
+    """Time at which the step was due [s]."""
     late: float
+    """Delay relative to the first step that was due since the last tick [s]."""
     missed: int
+    """Number of steps missed before it."""
 
 
 class Pacer:
-    """Wakes once a period [s]. A step that would start a period late or more is missed; due times never shift."""
+    """Waits for control steps with a fixed period [s]. Steps that are late by a period or more are missed.
+
+    The due times never shift.
+    """
 
     def __init__(self, clock: Clock, period: float) -> None:
         self.clock, self.period = clock, period
         self.start, self.index = clock.now(), -1
 
     def restart(self) -> None:
-        """Count from 0 again: step 0 is due when the next step is, or now if that has passed."""
+        """Restart counting from 0: step 0 is due when the next step was, or now if that time has passed."""
         self.start, self.index = max(self.due(self.index + 1), self.clock.now()), -1
 
     def due(self, index: int) -> float:
-        """Return when a step is due [s]."""
+        """Return the time at which a step is due [s]."""
         return self.start + index * self.period
 
     def next(self) -> Tick:
@@ -63,21 +67,27 @@ class Pacer:
 
 
 class LoopTiming:
-    """Lateness, computing times and ages of states of a run, in arrays that are allocated before it.
+    """Lateness, inference times and state ages of a run, in preallocated arrays.
 
     Args:
-        steps: greatest number of steps that are kept; later ones are only counted.
+        steps: maximum number of recorded steps; later ones are only counted.
     """
 
     def __init__(self, steps: int) -> None:
         self._times = np.full((4, steps), np.nan)
         self.steps = self.missed = self.stale = 0
-        """Steps that were done, that were missed, and that had no new state."""
+        """Number of executed steps, missed steps, and steps without a new state."""
 
     def add(self, started: float, sent: float, inference: float, age: float, missed: int, fresh: bool) -> None:
-        """Take a step: delays of its start and of its command at the port, the policy's time, its state's age [s].
+        """Add a control step.
 
-        `missed` steps were missed before it; `fresh` is whether it had a new state.
+        Args:
+            started: delay of its start [s].
+            sent: delay at which its command was sent [s].
+            inference: inference time of the policy [s].
+            age: age of its state [s].
+            missed: steps missed before it.
+            fresh: whether it had a new state.
         """
         if self.steps < self._times.shape[1]:
             self._times[:, self.steps] = started, sent, inference, age
@@ -86,32 +96,36 @@ class LoopTiming:
         self.stale += not fresh
 
     def last(self, count: int) -> Array:
-        """Return the lateness of the last steps, at most so many [s]."""
+        """Return the lateness of at most the last `count` steps [s]."""
         end = min(self.steps, self._times.shape[1])
         return self._times[0, max(end - count, 0) : end]
 
-    def figures(self) -> dict[str, float | int | None]:
-        """Return median, 99.9th percentile and maximum in ms, and counts."""
-        figures: dict[str, float | int | None] = {"steps": self.steps, "missed": self.missed, "stale": self.stale}
+    def metrics(self) -> dict[str, float | int | None]:
+        """Return median, 99.9th percentile and maximum of all times [ms], and the counts."""
+        metrics: dict[str, float | int | None] = {"steps": self.steps, "missed": self.missed, "stale": self.stale}
         for name, times in zip(("lateness", "sent", "inference", "state_age"), self._times, strict=True):
             times = times[~np.isnan(times)]
-            for key, share in (("median", 50), ("p99_9", 99.9), ("max", 100)):
-                figures[f"{name}_{key}_ms"] = round(1e3 * float(np.percentile(times, share)), 4) if len(times) else None
-        return figures
+            for key, percentile in (("median", 50), ("p99_9", 99.9), ("max", 100)):
+                metrics[f"{name}_{key}_ms"] = (
+                    round(1e3 * float(np.percentile(times, percentile)), 4) if len(times) else None
+                )
+        return metrics
 
 
 @contextlib.contextmanager
-def undisturbed(priority: int = PRIORITY, threads: bool = False) -> Iterator[None]:
-    """Run without garbage collection and with a high priority; without the right to it, with the highest possible.
+def real_time_priority(priority: int = PRIORITY, threads: bool = False) -> Iterator[None]:
+    """Run a block with real-time priority and without garbage collection.
+
+    Without permission for real-time priority, the process gets the highest ordinary priority that it may have.
 
     Args:
-        priority: among real-time processes.
-        threads: threads and processes that are started meanwhile have it too; otherwise ordinary priority.
+        priority: real-time priority, 1 to 99.
+        threads: whether threads and processes started in the block inherit the priority.
     """
     interval, collecting = sys.getswitchinterval(), gc.isenabled()
     gc.collect()
     gc.disable()
-    sys.setswitchinterval(_SWITCH)
+    sys.setswitchinterval(_SWITCH_INTERVAL)
     raised = _raise_priority(priority, threads)
     try:
         yield

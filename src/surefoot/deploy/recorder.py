@@ -1,8 +1,8 @@
-"""Rows of an `EpisodeTrace` of a run, as a simulation would record them, as far as a robot's sensors allow.
+"""Recorder of trace rows on a robot, in the format of simulated episodes as far as the robot's sensors allow.
 
-Row k is closed when the state at its end has arrived: observation, feedback and target belong to the control step's
-start; readings, torque and energy to its end. A missed step has a row too. The servos held the last target, so the row
-repeats observation, feedback and target of the step before it. Rows stay one control step apart.
+Row k is complete when the state at its end has arrived: observation, feedback and target are from the start of the
+control step; sensor readings, torque and energy from its end. Missed steps also have rows, so that rows are always one
+control step apart. The servos held the last target, so these rows repeat observation, feedback and target.
 """
 
 from __future__ import annotations
@@ -19,9 +19,13 @@ from surefoot.deploy.safety import is_finite
 
 
 class Recorder:
-    """Takes control steps as they are done, and keeps their rows, one every `control_step` [s].
+    """Records one row per control step.
 
-    `on_rows` is called with rows (n, width) when they are closed.
+    Args:
+        layout: columns of a row.
+        control_step: period of the rows [s].
+        max_steps: maximum number of rows.
+        on_rows: called with rows (n, width) when they are complete.
     """
 
     def __init__(
@@ -31,30 +35,30 @@ class Recorder:
         self._rows = np.zeros((max_steps, layout.width))
         self.steps = 0
         self.missed: list[int] = []
-        """Number of rows that are closed, and the rows of missed steps, from 0."""
+        """Number of complete rows, and the indices of rows of missed steps."""
         self.start = math.nan
-        """The robot's time at the start of the episode [s]; infinite, if it is not known."""
-        self._open: tuple[Array, Array, Array, Array, Array | None] | None = None
+        """Start of the episode on the robot's clock [s]; not finite if unknown."""
+        self._row_start: tuple[Array, Array, Array, Array, Array | None] | None = None
         self._energy = 0.0
 
     @property
     def rows(self) -> Array:
-        """The closed rows (T, width)."""
+        """Complete rows (T, width)."""
         return self._rows[: self.steps]
 
     def begin(self, state: State, robot_time: float) -> None:
-        """Take the state at the start of the episode, and the robot's time then [s]."""
+        """Start with the state at the beginning of the episode, and its time on the robot's clock [s]."""
         self._energy, self.start = state.energy, robot_time
 
-    def close(self, until: int, state: State) -> None:
-        """Close all rows before control step `until`, which starts now; rows after the first were missed.
+    def complete_rows(self, until: int, state: State) -> None:
+        """Complete all rows before control step `until`, which starts now; all but the first are missed steps.
 
-        `state` is the newest state.
+        `state` is the latest state.
         """
         first, end = self.steps, min(until, self.max_steps)
-        if self._open is None or end <= first or not is_finite(state):
+        if self._row_start is None or end <= first or not is_finite(state):
             return
-        observation, feedback, target, command, heights = self._open
+        observation, feedback, target, command, heights = self._row_start
         self.missed += range(first + 1, end)
         columns = self.layout.columns(self._rows[first:end])
         columns["time"][:] = np.arange(first + 1, end + 1) * self.control_step
@@ -65,14 +69,14 @@ class Recorder:
             columns["command"][:] = command
         if "height_map" in columns:
             columns["height_map"][:] = np.nan if heights is None else heights
-        # A counter of energy that has started anew adds nothing, rather than a negative number.
+        # If the energy counter has restarted, add nothing instead of a negative number.
         columns["energy"][0] = max(state.energy - self._energy, 0.0)
         self._energy, self.steps = state.energy, end
         if self._on_rows is not None:
             self._on_rows(self._rows[first:end])
 
-    def open(
+    def start_row(
         self, observation: Array, feedback: Array, target: Array, command: Array, heights: Array | None = None
     ) -> None:
-        """Take a control step whose target has just been sent: what its row has of its start."""
-        self._open = observation, feedback, target, command, heights
+        """Start the row of a control step whose target was just sent, with its values from the start of the step."""
+        self._row_start = observation, feedback, target, command, heights

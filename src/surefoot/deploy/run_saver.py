@@ -1,4 +1,4 @@
-"""Saves a run: its rows while it goes on, and at its end the trace with the meta of a run on a robot."""
+"""Recording of a run on a robot: rows during the run, and the complete trace with metadata at the end."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
 from surefoot.deploy.trace_file import TraceFile
 from surefoot.errors import SurefootError
-from surefoot.task.partial_trace import SUFFIX, TraceHead
+from surefoot.task.partial_trace import SUFFIX, TraceHeader
 from surefoot.task.trace import EpisodeTrace, run_meta
 
 
-def next_free(folder: Path) -> Path:
-    """Return the first of run_000.npz, run_001.npz, ... that no run has, whole or partial."""
+def next_free_path(folder: Path) -> Path:
+    """Return the first path of run_000.npz, run_001.npz, ... that no complete or partial run uses."""
     taken = set(os.listdir(folder)) if folder.is_dir() else set()
     names = (f"run_{number:03d}.npz" for number in itertools.count())
     return folder / next(name for name in names if not {name, name + SUFFIX} & taken)
@@ -28,19 +28,20 @@ def next_free(folder: Path) -> Path:
 
 @dataclass(frozen=True)
 class SavedRun:
-    """The trace of a run, if any control step was done, its file, and notes on what could not be saved.
-
-    `lost`: whether the trace, or a part of it, is on no disk.
-    """
+    """Result of recording a run."""
 
     trace: EpisodeTrace | None = None
+    """Trace of the run; None if no control step was executed."""
     path: Path | None = None
+    """File of the trace, if it was saved."""
     notes: list[str] = field(default_factory=list)
+    """Problems of the recording."""
     lost: bool = False
+    """Whether the trace, or a part of it, could not be saved."""
 
 
 class RunSaver:
-    """Saves one run of a connected deployment to a file (.npz), or makes its trace alone if there is no path."""
+    """Records one run of a connected deployment; saves the trace (.npz) if a path is given."""
 
     def __init__(
         self, deployment: Deployment, path: Path | None, max_steps: int, world: str = "robot", run: int = 0
@@ -66,16 +67,16 @@ class RunSaver:
         if contract.height_map is not None:
             meta["height_map"] = {"ahead": contract.height_map.ahead, "left": contract.height_map.left}
         commands = contract.commands is not None
-        self._head = TraceHead.of_robot(meta, len(contract.action_names), commands, robot.archive)
+        self._head = TraceHeader.of_robot(meta, len(contract.action_names), commands, robot.archive)
         self.recorder = Recorder(self._head.layout, contract.control_step, max_steps, self._keep)
         self._file: TraceFile | None = None
         self._stop_reported = False
 
     def begin(self) -> None:
-        """Prepare to write, before the robot moves.
+        """Prepare the recording, before the robot moves.
 
         Raises:
-            SurefootError: the folder can't be written.
+            SurefootError: the folder cannot be written.
         """
         if self.path is not None:
             self._file = TraceFile(self.path, self._head.line)
@@ -87,25 +88,25 @@ class RunSaver:
         if file is None:
             return
         file.add(rows)
-        if file.stopped and not self._stop_reported:
+        if file.error and not self._stop_reported:
             self._stop_reported = True
-            self._monitor.recording(f"recording stopped: {file.stopped}; the robot goes on")
+            self._monitor.recording(f"recording stopped: {file.error}; the robot continues")
 
     def finish(self, outcome: RunOutcome, timing: LoopTiming, capture: Path | None) -> SavedRun:
-        """Make the trace, with base and feet of a motion capture file if there is one, and write it."""
+        """Assemble the trace, with base and feet from a motion capture file if given, and save it."""
         file, recorder, notes = self._file, self.recorder, []
         if file is not None:
             file.close()
-            if file.stopped:
-                notes.append(f"recording stopped: {file.stopped}")
+            if file.error:
+                notes.append(f"recording stopped: {file.error}")
         if not recorder.steps:
-            return SavedRun(notes=[*notes, "no control step was done, so there is no trace"])
+            return SavedRun(notes=[*notes, "no control step was executed, so there is no trace"])
         meta = {
             "ended": outcome.ended,
             "reason": outcome.reason,
             "what": outcome.text,
             "missed_steps": recorder.missed,
-            "timing": timing.figures(),
+            "timing": timing.metrics(),
             "frames_missing": self.link.statistics.missing,
         }
         truth: dict[str, Array] | None = None
@@ -117,7 +118,7 @@ class RunSaver:
         try:
             trace = self._head.trace(recorder.rows, meta, truth)
         except SurefootError as error:
-            return SavedRun(notes=[*notes, f"the rows make no trace: {error}"], lost=True)
+            return SavedRun(notes=[*notes, f"no trace can be made of the rows: {error}"], lost=True)
         if file is None:
             return SavedRun(trace, notes=notes)
         if problem := file.replace(trace):
@@ -127,6 +128,6 @@ class RunSaver:
     def _truth(self, capture: Path) -> dict[str, Array]:
         start = self._head.meta["robot_time_start"]
         if start is None:
-            raise SurefootError("the robot's time of the start is not known")
+            raise SurefootError("the start time on the robot's clock is unknown")
         recorder, legs = self.recorder, tuple(self._head.meta["leg_names"])
         return base_and_feet(read_capture(capture), start, recorder.control_step, recorder.steps, legs)

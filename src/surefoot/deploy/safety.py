@@ -1,6 +1,6 @@
-"""The control computer's safety: its limits, and the guard that checks every control step against them.
+"""Safety limits of the control computer, and the guard that checks every control step against them.
 
-The guard decides and the loop acts. The guard has no clock and no link, so that tests can run it alone.
+The guard decides, and the control loop acts. The guard has neither clock nor link, so it can be tested separately.
 """
 
 from __future__ import annotations
@@ -16,47 +16,47 @@ from numpy.typing import ArrayLike
 from surefoot.deploy.messages import Mode, Reason, State
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.sheet import Heat
+from surefoot.robot.data_sheet import Heat
 
 _ROUNDING = 1e-6
-OF_ROBOT = "robot "
-"""What a verdict's reason begins with where the robot itself has named it."""
+ROBOT_REASON = "robot "
+"""Prefix of a verdict's reason if the robot itself has reported it."""
 
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """When a run ends early, and how; `docs/safety.md` has these as a table."""
+    """Limits at which a run ends early; `docs/safety.md` lists them in a table."""
 
     battery_warn: float
-    """Battery voltage [V] below which, for `battery_time`, it warns once."""
+    """Battery voltage that causes one warning if it stays lower for `battery_time` [V]."""
     battery_low: float
-    """Battery voltage [V] below which, for `battery_time`, the robot sits and is disarmed."""
+    """Battery voltage at which the robot sits and is disarmed if it stays lower for `battery_time` [V]."""
     state_age: float = 3
-    """Age of the newest state [control steps] that damps. Two states may be lost: the fastest motor of the trot
-    turns by 0.15 rad in three steps of 6 ms."""
+    """Maximum age of the latest state; an older one damps the motors [control steps]. Two states may be lost: the
+    fastest motor of the trot turns by 0.15 rad in three steps of 6 ms."""
     missed_steps: int = 2
-    """Control steps in a row that may be missed, with the target held; more of them damp."""
+    """Maximum number of consecutive missed control steps, in which the target is held; more damp the motors."""
     tilt: float = 0.5
-    """Roll or pitch [rad] that damps, where no other one is given: a deployment gives the task's `fall_angle`. Episodes
-    of the paper end there; no trained gait recovers from it."""
+    """Roll or pitch beyond which the motors are damped [rad]; a deployment uses the task's `fall_angle` instead.
+    Episodes of the paper end at this angle; no trained gait recovers from it."""
     battery_time: float = 1.0
-    """How long [s] the battery may be low: two strides, since the voltage sags briefly whenever all motors push."""
+    """Maximum time of low battery voltage [s]: two strides, since the voltage sags briefly when all motors push."""
     map_age: float = 2.0
-    """Age [s] of the newest map of heights at which a robot that needs one sits and is disarmed. It has stood since the
-    map was late, so that the last one is still right around it."""
+    """Maximum age of the height map of a perceptive policy; at this age the robot sits and is disarmed [s]. It has
+    stood still since the map was late, so the last map is still valid around it."""
     temperature_warn: float = Heat.warn
-    """Temperature [degC] of the hottest motor that warns once."""
+    """Temperature of the hottest motor that causes one warning [degC]."""
     temperature_high: float = Heat.high
-    """Temperature [degC] of the hottest motor at which the robot sits and is disarmed."""
+    """Temperature of the hottest motor at which the robot sits and is disarmed [degC]."""
 
     @classmethod
     def from_robot(cls, robot: RobotDescription) -> SafetyLimits:
-        """Return the limits of a robot; those of battery and motors are its data sheet's."""
+        """Return the limits of a robot, with battery and motor limits from its data sheet."""
         battery, heat = robot.battery, robot.heat
         return cls(battery.warn, battery.low, temperature_warn=heat.warn, temperature_high=heat.high)
 
     def __post_init__(self) -> None:
-        """Refuse limits that are not positive and finite, or that come in the wrong order."""
+        """Check that limits are positive and finite, and that warnings come before shutdowns."""
         for name, number in vars(self).items():
             if not 0 < number < math.inf:
                 raise SurefootError(f"safety limit {name} is {number}; it must be a finite number over 0")
@@ -67,18 +67,18 @@ class SafetyLimits:
 
 
 class Act(Enum):
-    """What the loop does in a control step."""
+    """Action of the control loop in a control step."""
 
-    GO = "go on"
+    GO = "continue"
     SIT = "sit down and disarm"
     DAMP = "damp the motors at once"
-    FALL = "damp the motors at once; sit when the robot is still"
+    FALL = "damp the motors at once; sit when the robot lies still"
     GONE = "nothing: the robot has damped its motors itself, or the link is lost"
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the loop does, and why: `reason` in one or two words for traces, `text` as a sentence."""
+    """Action of the control loop, its reason in one or two words for traces, and a description for the operator."""
 
     act: Act
     reason: str = ""
@@ -89,11 +89,11 @@ GO = Verdict(Act.GO)
 
 
 class NotFiniteError(RuntimeError):
-    """A number that must be finite is not."""
+    """A value that must be finite is NaN or infinite."""
 
 
 def check_finite(what: str, names: Sequence[str], values: ArrayLike) -> None:
-    """Raise `NotFiniteError` for the first number that is not finite."""
+    """Raise `NotFiniteError` with the name of the first value that is not finite."""
     array = np.asarray(values, float).ravel()
     if not np.isfinite(array).all():
         first = int(np.argmin(np.isfinite(array)))
@@ -101,19 +101,20 @@ def check_finite(what: str, names: Sequence[str], values: ArrayLike) -> None:
 
 
 def is_finite(state: State) -> bool:
-    """Return whether all readings of a state are finite."""
+    """Return whether all sensor readings of a state are finite."""
     parts = (state.roll_pitch_yaw, state.angular_velocity_base, state.motor_angle, state.motor_velocity)
     return math.isfinite(state.energy) and all(np.isfinite(part).all() for part in parts)
 
 
 class Guard:
-    """Checks the state that each control step sees.
+    """Checks the robot's state in each control step against the safety limits.
 
     Args:
-        control_step: time between two control steps [s].
+        limits: safety limits.
+        control_step: period of the control loop [s].
         session: number of the operator's session.
-        tilt: roll or pitch [rad] that is a fall; the limits', if not given.
-        mode: of an armed robot.
+        tilt: roll or pitch that counts as a fall [rad]. Defaults to the tilt limit.
+        mode: mode that an armed robot must be in.
     """
 
     def __init__(
@@ -127,9 +128,9 @@ class Guard:
         self.limits, self.control_step, self.session, self.mode = limits, control_step, session, mode
         self.tilt = limits.tilt if tilt is None else tilt
         self.warnings: list[str] = []
-        """Warnings for the operator, each once, oldest first."""
+        """Warnings for the operator, oldest first, each only once."""
         self.map_age = 0.0
-        """Age of the newest map of heights [s]; set by whoever reads it, where the policy sees one."""
+        """Age of the latest height map [s]; set by the caller for a perceptive policy."""
         self._low_since: dict[float, float] = {}
 
     def check(
@@ -142,14 +143,14 @@ class Guard:
         armed: bool = True,
         upright: bool = True,
     ) -> Verdict:
-        """Return what the loop does in a control step; the most urgent verdict comes first.
+        """Return the verdict of a control step; the most urgent one has priority.
 
         Args:
-            time: this computer's clock [s].
-            state: the newest state.
-            state_age: its age [s].
+            time: time on this computer's clock [s].
+            state: latest state of the robot.
+            state_age: age of the state [s].
             missed: control steps missed since the last one.
-            stops: the operator's requests to stop.
+            stops: number of stop requests of the operator.
             armed: whether the robot should follow commands.
             upright: whether a tilt beyond the limit is a fall; False while a fallen robot sits down.
         """
@@ -170,17 +171,17 @@ class Guard:
 
     def _robot(self, state: State) -> Verdict:
         if state.session != self.session:
-            return Verdict(Act.DAMP, "session", "the robot has forgotten this operator; it was switched on anew")
+            return Verdict(Act.DAMP, "session", "the robot has restarted and lost this session")
         known = state.reason in {*Reason}
         name = Reason(state.reason).name.lower().replace("_", " ") if known else str(state.reason)
         if state.mode == Mode.FAULT:
-            return Verdict(Act.GONE, f"{OF_ROBOT}{name}", f"the robot has damped its motors ({name})")
+            return Verdict(Act.GONE, f"{ROBOT_REASON}{name}", f"the robot has damped its motors ({name})")
         if state.mode != self.mode:
-            return Verdict(Act.DAMP, "mode", f"the robot is in mode {state.mode}; it must be in {int(self.mode)}")
+            return Verdict(Act.DAMP, "mode", f"the robot is in mode {state.mode}; it must be in mode {int(self.mode)}")
         if state.reason == Reason.REMOTE:
             return Verdict(Act.SIT, "operator", "stopped with the remote control")
         if state.reason:
-            return Verdict(Act.SIT, f"{OF_ROBOT}{name}", f"the robot asks to sit ({name})")
+            return Verdict(Act.SIT, f"{ROBOT_REASON}{name}", f"the robot asks to sit ({name})")
         return GO
 
     def _lateness(self, state_age: float, missed: int) -> Verdict:
@@ -189,7 +190,7 @@ class Guard:
             text = f"the newest state is {1e3 * state_age:.0f} ms old, {steps:.1f} control steps"
             return Verdict(Act.DAMP, "stale state", f"{text}; at most {limits.state_age:g}")
         if missed > limits.missed_steps:
-            text = f"{missed} control steps in a row were missed; at most {limits.missed_steps}"
+            text = f"{missed} consecutive control steps were missed; at most {limits.missed_steps}"
             return Verdict(Act.DAMP, "late", text)
         return GO
 
@@ -197,14 +198,14 @@ class Guard:
         roll, pitch = state.roll_pitch_yaw[:2]
         if abs(roll) <= self.tilt and abs(pitch) <= self.tilt:
             return GO
-        text = f"roll {roll:+.2f} and pitch {pitch:+.2f} rad; beyond {self.tilt:g} rad is a fall"
+        text = f"roll {roll:+.2f} and pitch {pitch:+.2f} rad; more than {self.tilt:g} rad counts as a fall"
         return Verdict(Act.FALL, "tilt", text)
 
     def _battery(self, time: float, voltage: float) -> Verdict:
         limits = self.limits
 
         def low_for(limit: float) -> float:
-            """Return how long the voltage has been below a limit [s]."""
+            """Return the time for which the voltage has been below a limit [s]."""
             if voltage >= limit:
                 self._low_since.pop(limit, None)
                 return 0.0
@@ -214,7 +215,7 @@ class Guard:
             self.warn(f"battery below {limits.battery_warn:g} V; charge it soon")
         if low_for(limits.battery_low) < limits.battery_time:
             return GO
-        text = f"the battery has {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s"
+        text = f"the battery voltage is {voltage:.1f} V, below {limits.battery_low:g} V for {limits.battery_time:g} s"
         return Verdict(Act.SIT, "battery", text)
 
     def _temperature(self, state: State) -> Verdict:
@@ -223,16 +224,16 @@ class Guard:
             self.warn(f"a motor is hotter than {self.limits.temperature_warn:g} degC")
         if hottest <= self.limits.temperature_high:
             return GO
-        text = f"a motor has {hottest:.0f} degC; at most {self.limits.temperature_high:g}"
+        text = f"a motor is at {hottest:.0f} degC; at most {self.limits.temperature_high:g}"
         return Verdict(Act.SIT, "temperature", text)
 
     def _map(self) -> Verdict:
         if self.map_age <= self.limits.map_age:
             return GO
-        text = f"the newest map of heights is {self.map_age:.1f} s old; at most {self.limits.map_age:g}"
+        text = f"the latest height map is {self.map_age:.1f} s old; at most {self.limits.map_age:g}"
         return Verdict(Act.SIT, "map", text)
 
     def warn(self, text: str) -> None:
-        """Add a warning for the operator, once."""
+        """Add a warning for the operator, unless it was given before."""
         if text not in self.warnings:
             self.warnings.append(text)

@@ -1,6 +1,6 @@
-"""The file of a trace while it is recorded: rows several times a second, and in their place the whole trace at the end.
+"""Recording of a trace: rows are written several times a second, and replaced by the complete trace at the end.
 
-If the process is killed or the computer stops, the rows remain. `task.partial_trace` defines their file and reads it.
+If the process is killed or the computer stops, the rows remain. `task.partial_trace` defines and reads their file.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.task.partial_trace import SUFFIX, row_bytes
 from surefoot.task.trace import EpisodeTrace
 
-FLUSH = 0.1
-"""Time [s] between two writes."""
-MAX_WAITING = 20_000
-"""Pieces of data that may wait for the disk, as memory of a robot's computer is short; then recording stops."""
+WRITE_PERIOD = 0.1
+"""Period of writing [s]."""
+MAX_PENDING = 20_000
+"""Maximum number of pieces of data that wait for the disk, since memory of a robot's computer is limited."""
 
 
 class TraceFile:
-    """Writes the rows of a trace without ever waiting for the disk, and the whole trace at its end.
+    """Writes the rows of a trace without waiting for the disk, and the complete trace at the end.
 
     Args:
-        path: the trace's file (.npz); its folder is made.
-        head: returns the first line of the partial file; called when the first rows come.
+        path: file of the trace (.npz); its folder is created.
+        head: returns the first line of the partial file; called before the first rows.
 
     Raises:
-        SurefootError: the folder can't be written, or no process can be started.
+        SurefootError: the folder cannot be written, or the process that writes cannot be started.
     """
 
     def __init__(self, path: Path, head: Callable[[], bytes]) -> None:
@@ -38,29 +38,29 @@ class TraceFile:
             with tempfile.TemporaryFile(dir=path.parent):
                 pass
         self.path, self._head = path, head
-        self._partial = BackgroundFile(path.with_name(path.name + SUFFIX), FLUSH)
+        self._partial = BackgroundFile(path.with_name(path.name + SUFFIX), WRITE_PERIOD)
         self._has_head = False
 
     @property
-    def stopped(self) -> str:
-        """Why rows are not written any more; empty while writing succeeds."""
-        return self._partial.stopped
+    def error(self) -> str:
+        """Why writing of rows has stopped; "" while it succeeds."""
+        return self._partial.error
 
     def add(self, rows: Array) -> None:
         """Append rows (n, width)."""
         if not self._has_head:
             self._has_head = True
             self._partial.add(self._head())
-        if self._partial.waiting > MAX_WAITING:
-            self._partial.stopped = "the disk is too slow"
+        if self._partial.pending > MAX_PENDING:
+            self._partial.error = "the disk is too slow"
         self._partial.add(row_bytes(rows))
 
     def close(self) -> None:
-        """Write the last rows."""
+        """Write the remaining rows."""
         self._partial.close()
 
     def replace(self, trace: EpisodeTrace) -> str:
-        """Write the whole trace in place of its rows; return what went wrong and what is left, empty if all is well."""
+        """Replace the rows by the complete trace; return an error message with what is left on disk, or ""."""
         partial = self._partial.path
         try:
             trace.save(self.path)

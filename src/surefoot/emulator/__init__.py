@@ -1,1 +1,1 @@
-"""The robot emulator: a microcontroller and a robot in one process, behind the wire protocol."""
+"""Robot emulator: microcontroller and simulated robot in one process, behind the wire protocol."""

@@ -1,4 +1,4 @@
-"""Microcontroller, robot and link together, advanced in time, in real time or in lockstep."""
+"""Emulated robot: microcontroller, simulated body and link, advanced together in real time or in lockstep."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from surefoot.deploy.board.firmware import Firmware
 from surefoot.deploy.board.limits import Limits
-from surefoot.deploy.board.signals import MotorOrder, Sensors, microseconds
+from surefoot.deploy.board.signals import MotorCommand, Sensors, microseconds
 from surefoot.deploy.messages import Handshake, Mode, Packet, Reason
 from surefoot.deploy.robot_link import LinkStatistics
 from surefoot.emulator.capture_writer import PERIOD
@@ -20,41 +20,41 @@ from surefoot.emulator.plant import Plant
 from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
 BOOT_TIME = 200_000
-"""Time [us] that a microcontroller takes to start."""
+"""Startup time of a microcontroller [us]."""
 
 
 class BoardProgram(Protocol):
-    """What an emulated microcontroller needs of its program. Times are whole microseconds."""
+    """Interface to the program of an emulated microcontroller. Times are whole microseconds."""
 
     mode: Mode
     reason: Reason
     owner: int
     """Session of the operator; 0: none."""
     next_state: float
-    """When the next state is due."""
+    """Time at which the next state is due."""
 
     @property
     def armed(self) -> bool:
         """Whether motors follow commands."""
 
-    def is_taken(self, now: int) -> bool:
-        """Return whether the robot has an operator that may keep it."""
+    def has_operator(self, now: int) -> bool:
+        """Return whether an operator uses the robot, so that others are rejected."""
 
     def take(self) -> list[Packet]:
-        """Return and forget the packets to send, oldest first."""
+        """Remove and return the packets to send, oldest first."""
 
     def report(self, now: int, read: Callable[[], Sensors]) -> None:
-        """Send a state if one is due, with the readings of `read`."""
+        """Send a state with the sensor readings of `read`, if one is due."""
 
 
 class EmulatedBoard(ABC):
-    """The whole emulated robot, whatever program it runs. Times are whole microseconds since it was switched on.
+    """Emulated robot with any program. Times are whole microseconds since it was switched on.
 
-    At one moment, the physics advances first, then a state that is due is sent, then what arrives is received. A
-    command that arrives at a servo step acts from that step on.
+    If several events have the same time, the physics advances first, then a due state is sent, then packets are
+    received. A command that arrives at the time of a servo step is applied from that step on.
 
-    While nothing arrives or is due, the physics may advance `stride` servo steps at once. The microcontroller checks
-    tilt, battery and heat only between them. With faults, `stride` is 1.
+    While no packet arrives and no state is due, the physics may advance `stride` servo steps at once. The
+    microcontroller then checks tilt, battery and temperature only once per stride. With faults, `stride` is 1.
     """
 
     firmware: BoardProgram
@@ -68,15 +68,15 @@ class EmulatedBoard(ABC):
         self.injector = FaultInjector(faults, plant)
         if "late-states" in faults:
             plant.extra_latency = faults["late-states"].value
-        link.chances = self.injector.chances
+        link.probabilities = self.injector.probabilities
         self.now = self.reboots = 0
         self.on_step: list[Callable[[int], None]] = []
-        """Called with the time [us] after servo steps: after all, or at least after each that motion capture sees."""
+        """Called with the time [us] after servo steps: at least after each that motion capture records."""
         self._step = microseconds(plant.robot.timing.servo_step)
         self._start()
         self._booted = 0
-        self._order: MotorOrder | None = None
-        self._damped = self._last = MotorOrder(Mode.DISARMED, np.zeros(plant.robot.num_motors))
+        self._command: MotorCommand | None = None
+        self._damped = self._last = MotorCommand(Mode.DISARMED, np.zeros(plant.robot.num_motors))
 
     @abstractmethod
     def _start(self) -> None:
@@ -84,15 +84,15 @@ class EmulatedBoard(ABC):
 
     @abstractmethod
     def _receive(self) -> None:
-        """Hand the program what arrives next."""
+        """Pass the next arriving data to the program."""
 
     @abstractmethod
-    def _compute_order(self, now: int) -> MotorOrder:
-        """Return what the motors do in the servo step that begins."""
+    def _compute_command(self, now: int) -> MotorCommand:
+        """Return the motor command for the servo step that begins."""
 
     @abstractmethod
     def counts(self) -> list[str]:
-        """Return what happened on its link, for the line at the end."""
+        """Return statistics of the link, for the summary."""
 
     def _describe(self, seen: LinkStatistics, repeated: int, stale: int) -> list[str]:
         return [
@@ -103,21 +103,21 @@ class EmulatedBoard(ABC):
 
     @property
     def next_step(self) -> int:
-        """When the servo step in progress ends."""
+        """End of the servo step in progress."""
         return (self.plant.ticks + 1) * self._step
 
     @property
     def next_time(self) -> float:
-        """When there is something to do next: physics may wait until it can advance `stride` steps."""
+        """Time of the next event; the physics may wait until it can advance `stride` steps."""
         physics = self.next_step + (self.stride - 1) * self._step
         return max(min(physics, self.link.next_arrival, self.link.next_departure, self.firmware.next_state), self.now)
 
     def run_to(self, time: int) -> None:
-        """Run everything that happens until a time."""
+        """Process all events until a time."""
         while True:
-            standing = self._standing_until()
-            step, due = self.next_step, max(self.firmware.next_state, standing)
-            arrival = max(self.link.next_arrival, self.now, standing)
+            stalled = self._stalled_until()
+            step, due = self.next_step, max(self.firmware.next_state, stalled)
+            arrival = max(self.link.next_arrival, self.now, stalled)
             at = min(step, due, arrival)
             if at > time:
                 break
@@ -134,42 +134,43 @@ class EmulatedBoard(ABC):
         self.now = max(self.now, time)
 
     def _steps_until(self, moment: float) -> int:
-        """Return how many servo steps can be run at once, the last one ending at `moment` or before."""
-        if self.stride == 1 or self._order is not None:
-            # The step in progress keeps its order; what has arrived meanwhile acts from the next one on.
+        """Return how many servo steps can be run at once, with the last one ending at `moment` or earlier."""
+        if self.stride == 1 or self._command is not None:
+            # The step in progress keeps its command; commands that arrive during it apply from the next step on.
             return 1
         first = self.next_step
         possible = min(self.stride, int(moment - first) // self._step + 1)
-        # Motion capture reads the robot at multiples of its period.
+        # Motion capture samples the robot at multiples of its period.
         return min(possible, (-first % PERIOD) // self._step + 1)
 
-    def _standing_until(self) -> int:
+    def _stalled_until(self) -> int:
+        """Return the time until which the program does not run, because it hangs or starts."""
         return max(self.injector.hangs_until, self._booted)
 
     def _begin_step(self) -> None:
-        """Fix the order of the step in progress: nothing that happens within it changes it."""
-        if self._order is None and self.now > self.plant.ticks * self._step:
-            self._order = self._decide()
+        """Compute the command of the step in progress; events during the step do not change it."""
+        if self._command is None and self.now > self.plant.ticks * self._step:
+            self._command = self._decide()
             self._send()
 
-    def _decide(self) -> MotorOrder:
+    def _decide(self) -> MotorCommand:
         now = self.plant.ticks * self._step
-        if now >= self._standing_until():
-            self._last = self._compute_order(now)
+        if now >= self._stalled_until():
+            self._last = self._compute_command(now)
         return self._last
 
     def _physics(self, count: int) -> None:
-        order = self._order or self._decide()
-        self._order = None
+        command = self._command or self._decide()
+        self._command = None
         self._send()
-        self.plant.step(order, count)
+        self.plant.step(command, count)
         end = self.plant.ticks * self._step
         self.now = max(self.now, end)
         self.injector.tick(end, self.firmware.armed)
-        self.link.chances = self.injector.chances
-        if self.injector.began("unplug"):
+        self.link.probabilities = self.injector.probabilities
+        if self.injector.has_started("unplug"):
             self.link.cut_off()
-        if not self.reboots and self.injector.began("reboot"):
+        if not self.reboots and self.injector.has_started("reboot"):
             self._reboot(end)
         for observe in self.on_step:
             observe(end)
@@ -182,7 +183,7 @@ class EmulatedBoard(ABC):
 
     def _read(self) -> Sensors:
         since = (self.now - self.plant.ticks * self._step) / 1e6
-        # The control latency counts up to the use: when they are sent, readings are younger by the lead.
+        # The control latency ends at the use of the readings; when sent, they are younger by the lead.
         return self.injector.sensors(self.plant.read(since, self.link.lead))
 
     def _send(self) -> None:
@@ -191,7 +192,7 @@ class EmulatedBoard(ABC):
 
 
 class Board(EmulatedBoard):
-    """The emulated robot with the program that ships, `deploy/board`, and the servos of its body."""
+    """Emulated robot with the program of `deploy/board` and the servos of the simulated body."""
 
     firmware: Firmware
 
@@ -208,8 +209,8 @@ class Board(EmulatedBoard):
         super().__init__(plant, link, faults, stride)
 
     def counts(self) -> list[str]:
-        """Return what happened on its link, for the line at the end."""
-        return self._describe(self.link.statistics, self.firmware.watch.old_numbers, self.firmware.stale)
+        """Return statistics of the link, for the summary."""
+        return self._describe(self.link.statistics, self.firmware.link_monitor.old_numbers, self.firmware.stale)
 
     def _start(self) -> None:
         self.firmware = Firmware(self._handshake, self.limits)
@@ -217,5 +218,5 @@ class Board(EmulatedBoard):
     def _receive(self) -> None:
         self.link.receive(self.now, self.firmware)
 
-    def _compute_order(self, now: int) -> MotorOrder:
-        return self.injector.order(self.firmware.tick(now, self.plant.vitals()))
+    def _compute_command(self, now: int) -> MotorCommand:
+        return self.injector.motor_command(self.firmware.tick(now, self.plant.vitals()))

@@ -1,4 +1,4 @@
-"""What a motion capture system and foot switches see of the emulated robot, as a growing CSV file."""
+"""Motion capture and foot switches of the emulated robot, written to a growing CSV file."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from surefoot.emulator.plant import Plant
 from surefoot.errors import SurefootError
 
 PERIOD = 5_000
-"""Time between two rows [us]: 200 Hz."""
-_WRITE_EVERY = 0.05
+"""Period of the rows [us]: 200 Hz."""
+_WRITE_PERIOD = 0.05
 
 
 class CaptureWriter:
-    """Writes rows of time [s] on the robot's clock, base link's origin [m], unit quaternion and contacts.
+    """Writes rows with time on the robot's clock [s], origin of the base link [m], unit quaternion and contacts.
 
-    The contact of a foot is the share of the time since the row before in which it touched the ground.
+    The contact of a foot is the fraction of the time since the last row in which it touched the ground.
 
     Args:
-        path: file to write (.csv); it must not exist yet.
-        plant: the body.
-        later: let a thread write, 20 times per second, so that a slow disk does not delay the robot; otherwise every
-            row is in the file when `see` returns.
+        path: file to write (.csv); it must not exist.
+        plant: simulated body of the robot.
+        later: whether another process writes, 20 times per second, so that a slow disk does not delay the robot;
+            otherwise each row is in the file when `update` returns.
 
     Raises:
         SurefootError: the file exists, or its folder does not.
@@ -38,7 +38,7 @@ class CaptureWriter:
             raise SurefootError(f"motion capture {path} exists; give another name") from None
         except OSError as error:
             raise SurefootError(f"motion capture {path}: {error.strerror}") from error
-        self.file = BackgroundFile(path, _WRITE_EVERY if later else None)
+        self.file = BackgroundFile(path, _WRITE_PERIOD if later else None)
         self._plant = plant
         self._last = plant.capture().contact_ticks, plant.ticks
         self._add([*COLUMNS, *(f"contact_{leg}" for leg in plant.robot.leg_names)])
@@ -46,17 +46,17 @@ class CaptureWriter:
     def _add(self, words: list[str]) -> None:
         self.file.add((",".join(words) + "\n").encode())
 
-    def see(self, now: int) -> None:
-        """Add a row if a servo step that ended at `now` [us] is due for one."""
+    def update(self, now: int) -> None:
+        """Add a row if one is due at `now` [us], the end of a servo step."""
         if now % PERIOD:
             return
-        seen, ticks = self._plant.capture(), self._plant.ticks
-        before, ticks_before = self._last
-        contact = (seen.contact_ticks - before) / max(ticks - ticks_before, 1)
-        self._last = seen.contact_ticks, ticks
-        quat = seen.quat / np.linalg.norm(seen.quat)
-        self._add([*map(repr, [now / 1e6, *seen.position.tolist(), *quat.tolist(), *contact.tolist()])])
+        sample, ticks = self._plant.capture(), self._plant.ticks
+        last_contact_ticks, last_ticks = self._last
+        contact = (sample.contact_ticks - last_contact_ticks) / max(ticks - last_ticks, 1)
+        self._last = sample.contact_ticks, ticks
+        quat = sample.quat / np.linalg.norm(sample.quat)
+        self._add([*map(repr, [now / 1e6, *sample.position.tolist(), *quat.tolist(), *contact.tolist()])])
 
     def close(self) -> None:
-        """Write the rest and close the file."""
+        """Write the remaining rows and close the file."""
         self.file.close()

@@ -1,7 +1,7 @@
-"""Faults of emulated robots, by name, as in `--fault NAME[=VALUE][@TIME]`: what each changes, and when.
+"""Faults of emulated robots by name, as in `--fault NAME[=VALUE][@TIME]`: their effects and start times.
 
-One table is for all links to a robot. Each fault acts on one thing, such as the handshake; a link has some of these
-things (`LINKS`), and the faults of the others are refused there.
+The table is shared by all links to a robot. Each fault has a target, such as the handshake; `LINKS` lists the targets
+of each link, and faults with other targets are rejected there.
 """
 
 from __future__ import annotations
@@ -13,26 +13,27 @@ from enum import StrEnum
 
 from surefoot.errors import SurefootError, suggest
 
-HARMS = ("garbage", "drop", "cut-frames", "corrupt", "reorder", "duplicate")
-"""What can happen to a packet on the line, in the order in which it is drawn; `FAULTS` describes each."""
+LINE_FAULTS = ("garbage", "drop", "cut-frames", "corrupt", "reorder", "duplicate")
+"""Faults of single frames on a serial line, in the order of their random numbers; `FAULTS` describes each."""
 _MOTOR = "number of the motor"
+_KIND = "kind"
 _AFTER_ARMING = "s after arming"
-"""Over DDS nothing is armed: there these times count from the first command of a host."""
-_RATE = (0.05, 0.0, 1.0, "chance a frame")
+"""Start times are relative to the first arming; over DDS, to the first command of a host."""
+_RATE = (0.05, 0.0, 1.0, "probability per frame")
 
 
 class Target(StrEnum):
-    """What a fault acts on."""
+    """Target of a fault."""
 
-    MESSAGES = "messages on their way"
+    MESSAGES = "messages in transit"
     BYTES = "bytes between messages"
     HANDSHAKE = "the handshake"
     STATES = "states"
     MOTOR_MESSAGES = "messages of single motors"
-    TOPICS = "topics that others can write, at the robot's own rate"
+    TOPICS = "DDS topics"
     SERVICES = "the services of the robot's own controller"
     REMOTE = "the remote control"
-    WIRING = "motors and the orders that reach them"
+    WIRING = "the wiring of motors"
     SENSORS = "encoders and IMU"
     BODY = "battery, motors and body"
     BOARD = "the microcontroller"
@@ -43,28 +44,28 @@ LINKS: dict[str, frozenset[Target]] = {
     "serial": frozenset(_ALWAYS | {Target.BYTES, Target.HANDSHAKE}),
     "dds": frozenset(_ALWAYS | {Target.MOTOR_MESSAGES, Target.TOPICS, Target.SERVICES, Target.REMOTE}),
 }
-"""What a robot behind each kind of link has, that faults can act on."""
+"""Targets of faults that exist behind each kind of link."""
 
 
 @dataclass(frozen=True)
 class FaultKind:
-    """A fault that can be requested."""
+    """Definition of a fault."""
 
     target: Target
     meaning: str
     value: float = math.nan
-    """Default of its number; NaN: it takes none."""
+    """Default value; NaN: the fault has no value."""
     low: float = 0.0
     high: float = math.inf
     unit: str = ""
     start: float = math.nan
-    """Default of its start, in s after the robot was first armed; NaN: it is always active."""
+    """Default start time, in s after the robot was first armed; NaN: always active."""
     real_time: bool = False
-    """It concerns real time, and has no meaning in lockstep."""
+    """Whether it concerns real time, so that it has no meaning in lockstep."""
 
     @property
     def links(self) -> tuple[str, ...]:
-        """Links that have what it acts on."""
+        """Kinds of links that have its target."""
         return tuple(link for link, targets in LINKS.items() if self.target in targets)
 
 
@@ -79,10 +80,10 @@ def _motor(target: Target, meaning: str, start: float = math.nan) -> FaultKind:
 FAULTS: dict[str, FaultKind] = {
     "corrupt": FaultKind(Target.MESSAGES, "one to three bits of a frame are flipped", *_RATE),
     "drop": FaultKind(Target.MESSAGES, "frames are lost", *_RATE),
-    "duplicate": FaultKind(Target.MESSAGES, "frames come twice", *_RATE),
-    "reorder": FaultKind(Target.MESSAGES, "frames come after the next one", *_RATE),
-    "garbage": FaultKind(Target.BYTES, "bytes that nobody sent come between frames", *_RATE),
-    "cut-frames": FaultKind(Target.BYTES, "only the beginning or the end of a frame comes", *_RATE),
+    "duplicate": FaultKind(Target.MESSAGES, "frames arrive twice", *_RATE),
+    "reorder": FaultKind(Target.MESSAGES, "frames arrive after the next one", *_RATE),
+    "garbage": FaultKind(Target.BYTES, "random bytes arrive between frames", *_RATE),
+    "cut-frames": FaultKind(Target.BYTES, "only the beginning or the end of a frame arrives", *_RATE),
     "batching": FaultKind(
         Target.BYTES,
         "bytes to the host arrive in batches, as with some USB adapters",
@@ -90,42 +91,42 @@ FAULTS: dict[str, FaultKind] = {
         real_time=True,
     ),
     "unplug": _at_time(Target.MESSAGES, "the cable is pulled"),
-    "swap-motors": _motor(Target.WIRING, "commands of a motor and of the one after it are exchanged"),
-    "flip-sign": _motor(Target.WIRING, "a motor turns the wrong way from its rest"),
-    "flip-encoder": _motor(Target.SENSORS, "a motor's encoder reads the wrong way from its rest"),
+    "swap-motors": _motor(Target.WIRING, "commands of a motor and the next one are exchanged"),
+    "flip-sign": _motor(Target.WIRING, "a motor turns in the wrong direction from its rest"),
+    "flip-encoder": _motor(Target.SENSORS, "a motor's encoder counts in the wrong direction from its rest"),
     "imu-flip": FaultKind(
         Target.SENSORS,
         "the IMU is mounted wrongly: 0 exchanges roll and pitch, 1 negates roll, 2 pitch, 3 both",
-        *(0.0, 0.0, 3.0, "way"),
+        *(0.0, 0.0, 3.0, _KIND),
     ),
-    "other-robot": FaultKind(Target.HANDSHAKE, "the handshake names another robot"),
-    "other-order": FaultKind(Target.HANDSHAKE, "the handshake names the motors in another order"),
+    "other-robot": FaultKind(Target.HANDSHAKE, "the handshake has the name of another robot"),
+    "other-order": FaultKind(Target.HANDSHAKE, "the handshake has the motors in another order"),
     "other-gains": FaultKind(
-        Target.HANDSHAKE, "the handshake states other servo gains", 1.5, 0.0, 100.0, "times the nominal ones"
+        Target.HANDSHAKE, "the handshake has other servo gains", 1.5, 0.0, 100.0, "times the nominal ones"
     ),
     "other-schema": FaultKind(Target.HANDSHAKE, "the robot has another schema of the protocol"),
     "slow-servo": FaultKind(
-        Target.HANDSHAKE, "the servo runs slower, and the handshake states it", 0.002, 0.001, 0.1, "s between two steps"
+        Target.HANDSHAKE, "the servo runs slower, as the handshake states", 0.002, 0.001, 0.1, "s per step"
     ),
-    "stale-state": _at_time(Target.STATES, "states repeat the readings of one"),
-    "repeat-sequence": _at_time(Target.STATES, "all states have the same number"),
-    "backward-sequence": _at_time(Target.STATES, "numbers of states decrease"),
+    "stale-state": _at_time(Target.STATES, "states repeat the readings of one state"),
+    "repeat-sequence": _at_time(Target.STATES, "all states have the same sequence number"),
+    "backward-sequence": _at_time(Target.STATES, "sequence numbers of states decrease"),
     "late-states": FaultKind(Target.STATES, "readings are older than they should be", 0.02, 0.0, 0.06, "s more"),
     "battery-low": FaultKind(
-        Target.BODY, "the battery's voltage without load falls, 2 V a second", 12.0, 1.0, 30.0, "V", start=1.0
+        Target.BODY, "the open-circuit voltage of the battery falls by 2 V per second", 12.0, 1.0, 30.0, "V", start=1.0
     ),
     "motor-hot": FaultKind(
-        Target.BODY, "the first motor grows hot, 40 degC a second", 95.0, 0.0, 250.0, "degC", start=1.0
+        Target.BODY, "the first motor heats up by 40 degC per second", 95.0, 0.0, 250.0, "degC", start=1.0
     ),
     "tilt": _at_time(Target.BODY, "a hard push from the side topples the robot"),
     "reboot": _at_time(Target.BOARD, "the microcontroller restarts and forgets its operator"),
-    "hang": FaultKind(Target.BOARD, "the microcontroller's program stands still", 0.2, 0.0, 60.0, "s", start=1.0),
+    "hang": FaultKind(Target.BOARD, "the microcontroller's program hangs", 0.2, 0.0, 60.0, "s", start=1.0),
     "overload": FaultKind(
-        Target.BODY, "physics needs more than real time", 1.5, 0.0, 1000.0, "times real time", real_time=True
+        Target.BODY, "the physics is slower than real time", 1.5, 0.0, 1000.0, "times real time", real_time=True
     ),
     "not-finite": _at_time(Target.MOTOR_MESSAGES, "the angle of the first motor is not a number"),
-    "tick-restart": _at_time(Target.TOPICS, "ticks of states begin at 0 again"),
-    "slow-states": FaultKind(Target.TOPICS, "states come less often", 50.0, 1.0, 500.0, "Hz"),
+    "tick-restart": _at_time(Target.TOPICS, "ticks of states restart at 0"),
+    "slow-states": FaultKind(Target.TOPICS, "states are sent less often", 50.0, 1.0, 500.0, "Hz"),
     "other-layout": FaultKind(Target.TOPICS, "states have another layout"),
     "motor-off": _motor(Target.MOTOR_MESSAGES, "a motor switches itself off", start=1.0),
     "motor-lost": _motor(Target.MOTOR_MESSAGES, "the messages of a motor are lost", start=1.0),
@@ -140,7 +141,7 @@ FAULTS: dict[str, FaultKind] = {
 
 @dataclass(frozen=True)
 class InjectedFault:
-    """One fault as requested: its number, NaN where it takes none, and its start [s] after arming; 0: always active."""
+    """Requested fault: its value (NaN: none) and its start time after arming [s] (0: always active)."""
 
     value: float
     start: float
@@ -149,10 +150,16 @@ class InjectedFault:
 def parse_faults(
     words: Sequence[str], lockstep: bool = False, motors: int = 8, link: str = "serial"
 ) -> dict[str, InjectedFault]:
-    """Return faults by name, from words `NAME[=VALUE][@TIME]`, for a robot with so many motors and a kind of link.
+    """Parse faults `NAME[=VALUE][@TIME]`; return them by name.
+
+    Args:
+        words: options of the command line.
+        lockstep: whether the emulator runs in lockstep.
+        motors: number of motors of the robot.
+        link: kind of link, a key of `LINKS`.
 
     Raises:
-        SurefootError: no such fault, a fault given twice, or a number that it does not take.
+        SurefootError: unknown fault, a fault given twice, or a value out of range.
     """
     faults: dict[str, InjectedFault] = {}
     for word in words:
@@ -160,25 +167,25 @@ def parse_faults(
         name, equals, text = rest.partition("=")
         kind = FAULTS.get(name)
         if kind is None:
-            raise SurefootError(f"'{name}' is no fault; {suggest(name, FAULTS)}")
+            raise SurefootError(f"'{name}' is not a fault; {suggest(name, FAULTS)}")
         if name in faults:
             raise SurefootError(f"fault {name} is given twice; give it once")
         if link not in kind.links:
             raise SurefootError(
-                f"fault {name} acts on {kind.target}; --link {link} does not have that, give --link {kind.links[0]}"
+                f"fault {name} acts on {kind.target}, which --link {link} does not have; give --link {kind.links[0]}"
             )
         if kind.real_time and lockstep:
-            raise SurefootError(f"fault {name} is about real time; it does not go with --lockstep")
+            raise SurefootError(f"fault {name} concerns real time; it cannot be used with --lockstep")
         if equals and math.isnan(kind.value):
-            raise SurefootError(f"fault {name} takes no number; '{word}' gives one")
+            raise SurefootError(f"fault {name} has no value; '{word}' gives one")
         if at and kind.unit == _AFTER_ARMING:
-            raise SurefootError(f"fault {name} takes its time as {name}=TIME; '{word}' gives another")
+            raise SurefootError(f"fault {name} has its time as value, {name}=TIME; '{word}' gives another")
         value = _number(word, text) if equals else kind.value
         high = motors - (2 if name == "swap-motors" else 1) if kind.unit == _MOTOR else kind.high
         if equals and not kind.low <= value <= high:
             allowed = f"{kind.low:g} to {high:g}" if high < math.inf else f"{kind.low:g} or more"
             raise SurefootError(f"fault {name} is {value:g}; it must be {allowed} (unit: {kind.unit})")
-        if kind.unit in (_MOTOR, "way") and value != round(value):
+        if kind.unit in (_MOTOR, _KIND) and value != round(value):
             raise SurefootError(f"fault {name} is {value:g}; it must be a whole number")
         start = _number(word, time) if at else 0.0 if math.isnan(kind.start) else kind.start
         if not 0 <= start < math.inf:
@@ -193,12 +200,12 @@ def _number(word: str, text: str) -> float:
     except ValueError:
         value = math.nan
     if math.isnan(value):
-        raise SurefootError(f"fault '{word}' gives no number; write NAME, NAME=VALUE or NAME=VALUE@TIME")
+        raise SurefootError(f"fault '{word}' has no valid number; write NAME, NAME=VALUE or NAME=VALUE@TIME")
     return value
 
 
 def describe() -> list[str]:
-    """Return one line per fault, for a list."""
+    """Return a list of all faults, one line each."""
     lines = []
     for name, kind in FAULTS.items():
         number = "" if math.isnan(kind.value) else f"={kind.value:g} ({kind.unit})"

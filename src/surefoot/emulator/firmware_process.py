@@ -1,4 +1,4 @@
-"""A robot's firmware, compiled for this computer, as the program of an emulated board."""
+"""Firmware compiled for this computer, run as the program of an emulated board."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder
 from surefoot.errors import SurefootError
 
-_PATIENCE = 5.0
-"""Time [s] within which the program must answer."""
+_ANSWER_TIMEOUT = 5.0
+"""Maximum time for an answer of the program [s]."""
 _NEVER = 2**64 - 1
 _GREETING = struct.Struct("<I24s")
 _EVENT = struct.Struct("<cQH")
@@ -31,17 +31,17 @@ _NOTHING: Hazard = (Reason.NONE, "")
 
 
 class FirmwareProcess:
-    """The firmware's program in a process; a `BoardProgram`.
+    """Process that runs the firmware; a `BoardProgram`.
 
-    Robot time passes with the events that it is handed alone; `firmware/host/main.c` describes their bytes.
+    Robot time advances only with the events sent to the process; `firmware/emulation/events.c` describes their bytes.
 
     Args:
-        program: what `firmware.project.build_host` has compiled.
+        program: path of the program compiled by `firmware.project.build_firmware`.
         robot: name of the robot that it must be for.
-        motors: number of its motors.
+        motors: number of motors of the robot.
 
     Raises:
-        SurefootError: the program can't be started, or is not one of this robot; from each method: it has ended.
+        SurefootError: the program cannot be started, or is for another robot; from each method: it has ended.
     """
 
     def __init__(self, program: Path, robot: str, motors: int) -> None:
@@ -63,58 +63,56 @@ class FirmwareProcess:
         self._decoder = Decoder(codec)
         self._out: list[Packet] = []
         self.statistics = LinkStatistics()
-        """What the firmware has received."""
+        """Packets that the firmware has received."""
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
-        self.effort, self.order = np.zeros((2, motors))
-        """Duties or torques of the last servo step; angles or duties that an armed robot's motors follow."""
+        self.effort, self.motor_values = np.zeros((2, motors))
+        """Duties or torques of the last servo step, and the commanded angles or duties of an armed robot (M,)."""
         self.next_state: float = np.inf
         self.command_time = self.old_numbers = self.stale = 0
-        """When it accepted a command last, or was armed [us]; frames and commands that it dropped."""
+        """Time of the last accepted command or of arming [us]; number of dropped frames and of dropped commands."""
         self.watchdog = self.cycles = 0
-        """Time [us] without a servo step after which the microcontroller restarts; cycles of its processor that the
-        last event took, 0 if nobody counts them."""
-        self._taken_until = 0
+        """Time without a servo step after which the microcontroller restarts [us]; processor cycles of the last event,
+        0 if they are not counted."""
+        self._reserved_until = 0
         schema, name = _GREETING.unpack(self._read(_GREETING.size))
         if (schema, name.rstrip(b"\0")) != (codec.schema, robot.encode()):
-            raise SurefootError(
-                f"firmware {program} is not one of robot {robot}; `surefoot robot firmware new` writes it"
-            )
+            raise SurefootError(f"firmware {program} is not for robot {robot}; `surefoot robot firmware new` writes it")
 
     @property
     def armed(self) -> bool:
         """Whether motors follow commands."""
         return self.mode in (Mode.POSITION, Mode.PWM)
 
-    def is_taken(self, now: int) -> bool:
-        """Return whether the robot has an operator that may keep it."""
-        return bool(self.owner) and now <= self._taken_until
+    def has_operator(self, now: int) -> bool:
+        """Return whether an operator uses the robot, so that others are rejected."""
+        return bool(self.owner) and now <= self._reserved_until
 
     def take(self) -> list[Packet]:
-        """Return and forget the packets to send, oldest first."""
+        """Remove and return the packets to send, oldest first."""
         packets, self._out = self._out, []
         return packets
 
     def receive(self, now: int, data: bytes) -> None:
-        """Hand it bytes of the line."""
+        """Pass received bytes of the line to the firmware."""
         for start in range(0, len(data), _MAX_DATA):
             self._exchange(b"B", now, data[start : start + _MAX_DATA])
 
     def tick(self, now: int, seen: Sensors, hazard: Hazard | None = None, sit: Hazard | None = None) -> Array:
-        """Run a servo step, with what else damps the motors or asks the host to bring the robot to rest.
+        """Run a servo step; `hazard` damps the motors, `sit` asks the host to bring the robot to rest.
 
         Returns:
-            Duties, or torques [N m] of joint actuators (M,).
+            Duties, or torques of joint actuators [N m] (M,).
         """
         self._exchange(b"T", now, _pack(seen, hazard or _NOTHING, sit or _NOTHING))
         return self.effort
 
     def report(self, now: int, read: Callable[[], Sensors]) -> None:
-        """Send a state if one is due, with the readings of `read`."""
+        """Send a state with the sensor readings of `read`, if one is due."""
         if now >= self.next_state:
             self._exchange(b"R", now, _pack(read(), _NOTHING, _NOTHING))
 
     def share_priority(self) -> None:
-        """Give the process's threads the priority that this process has, so that it does not wait for a slower one."""
+        """Give the threads of the firmware the priority of this process, so that this process never waits for them."""
         policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
         if parameters.sched_priority:
             for thread in Path(f"/proc/{self._process.pid}/task").iterdir():
@@ -127,7 +125,7 @@ class FirmwareProcess:
         except BrokenPipeError:
             self._fail()
         mode, reason, self.owner, *rest = self._answer.unpack(self._read(self._answer.size))
-        self.command_time, following, self._taken_until, *rest = rest
+        self.command_time, following, self._reserved_until, *rest = rest
         *counts, self.old_numbers, self.stale = rest[:6]
         *floats, enabled, self.watchdog, self.cycles, size = rest[6:]
         seen = self.statistics
@@ -136,7 +134,7 @@ class FirmwareProcess:
             self.mode, self.reason = Mode(mode), Reason(reason)
         except ValueError as error:
             raise SurefootError(f"firmware {self._program}: {error}") from None
-        self.effort, self.order = enabled * np.reshape(floats, (2, -1))
+        self.effort, self.motor_values = enabled * np.reshape(floats, (2, -1))
         self.next_state = np.inf if following == _NEVER else following
         if size:
             self._out += self._decoder.feed(self._read(size))
@@ -144,7 +142,7 @@ class FirmwareProcess:
     def _read(self, size: int) -> bytes:
         data = b""
         while len(data) < size:
-            if not self._ready.poll(1e3 * _PATIENCE):
+            if not self._ready.poll(1e3 * _ANSWER_TIMEOUT):
                 raise SurefootError(f"firmware {self._program} does not answer")
             more = os.read(self._output, size - len(data))
             if not more:

@@ -1,6 +1,6 @@
-"""Sensors, battery and heat of an emulated robot, beyond `PhysicalParams`.
+"""Models of sensors, battery and motor heat of an emulated robot, in addition to `PhysicalParams`.
 
-All numbers are assumed, none was measured on a robot. They are typical of data sheets of such parts.
+All values are assumptions typical of data sheets of such parts; none was measured on a robot.
 """
 
 from __future__ import annotations
@@ -14,56 +14,56 @@ from numba import njit
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 from surefoot.robot.actuator import HEAT_LOSS
-from surefoot.robot.sheet import Battery, Heat
+from surefoot.robot.data_sheet import Battery, Heat
 from surefoot.world.actuation import ActuationState
 
 
 @dataclass(frozen=True)
 class SensorConfig:
-    """Encoders, IMU and current sensors. Bias and noise of roll and pitch are physical parameters."""
+    """Errors of encoders, IMU and current sensors. Bias and noise of roll and pitch are physical parameters."""
 
     encoder_step: float = 2 * math.pi / 2**14
-    """Resolution of the motor angles [rad]: 14 bits a turn, as magnetic encoders of the AS5047 kind have."""
+    """Resolution of the motor angles [rad]: 14 bits per turn, as in magnetic encoders like the AS5047."""
     speed_noise: float = 0.05
-    """Standard deviation of the motor speeds [rad/s]: differences of 14-bit angles over 1 ms have a step of .38 rad/s,
-    and a microcontroller's filter leaves about an eighth of it."""
+    """Standard deviation of the motor speeds [rad/s]: differences of 14-bit angles over 1 ms have a resolution of
+    0.38 rad/s, and a microcontroller's filter leaves about an eighth of it."""
     gyro_noise: float = 0.003
-    """Standard deviation of the angular velocity [rad/s]: .01 deg/s/sqrt(Hz) over a band of 300 Hz."""
+    """Standard deviation of the angular velocity [rad/s]: 0.01 deg/s/sqrt(Hz) over a bandwidth of 300 Hz."""
     gyro_bias: float = 0.005
-    """Standard deviation of the gyro's constant error [rad/s], drawn once: about .3 deg/s after calibration."""
+    """Standard deviation of the gyro's constant bias [rad/s], sampled once: about 0.3 deg/s after calibration."""
     torque_noise: float = 0.02
-    """Standard deviation of the motor torques [N m], from phase currents with noise of about .2 A at .1 N m/A."""
+    """Standard deviation of the motor torques [N m], from phase currents with noise of about 0.2 A at 0.1 N m/A."""
     torque_gain: float = 0.01
-    """Standard deviation of the constant relative error of each motor's torque, drawn once: errors of current sense
+    """Standard deviation of the constant relative error of each motor's torque, sampled once: errors of current sense
     resistors (1 % parts) and of the torque curve after calibration."""
     accelerometer_noise: float = 0.03
-    """Standard deviation of the specific force [m/s2]: 180 ug/sqrt(Hz) over a band of 300 Hz."""
+    """Standard deviation of the specific force [m/s2]: 180 ug/sqrt(Hz) over a bandwidth of 300 Hz."""
 
     @classmethod
     def ideal(cls) -> SensorConfig:
-        """Return sensors without error."""
+        """Return sensors without errors."""
         return cls(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PowerConfig(NamedTuple):
-    """Battery and heat of the motors; by default those of a sheet that does not state them."""
+    """Parameters of battery and motor heat; the defaults apply to data sheets without these values."""
 
     battery_resistance: float = Battery.resistance
     """Internal resistance [Ohm]."""
     battery_capacity: float = 3600.0 * Battery.capacity
-    """Charge [C] until it is empty."""
+    """Usable charge [C]."""
     battery_drop: float = Battery.drop
-    """Fall of the open-circuit voltage [V] until it is empty, taken as linear."""
+    """Decrease of the open-circuit voltage from full to empty [V], assumed to be linear."""
     ambient: float = 25.0
-    """Temperature of the air, and of the motors at first [degC]."""
+    """Air temperature, and initial temperature of the motors [degC]."""
     heat_capacity: float = Heat.capacity
-    """Of one motor [J/K]."""
+    """Heat capacity of one motor [J/K]."""
     heat_resistance: float = Heat.resistance
-    """From winding to air [K/W]."""
+    """Thermal resistance from winding to air [K/W]."""
 
     @classmethod
     def from_robot(cls, robot: RobotDescription) -> PowerConfig:
-        """Return a robot's, by its data sheet."""
+        """Return the values of a robot's data sheet."""
         battery, heat = robot.battery, robot.heat
         return cls(
             battery_resistance=battery.resistance,
@@ -75,28 +75,28 @@ class PowerConfig(NamedTuple):
 
     @classmethod
     def ideal(cls, robot: RobotDescription | None = None) -> PowerConfig:
-        """Return a battery that neither sags nor empties; motors still grow warm, as a robot's or by default."""
+        """Return a battery with constant voltage; motors still heat up, as in the robot's data sheet if given."""
         power = cls() if robot is None else cls.from_robot(robot)
         return power._replace(battery_resistance=0.0, battery_capacity=math.inf)
 
 
 @njit(cache=True)
 def power_tick(state: ActuationState, power: PowerConfig, dt: float, temperature: Array) -> float:
-    """Warm the motors of a robot for one step, and return the current that they draw from the battery [A].
+    """Update the motor temperatures over one step; return the current drawn from the battery [A].
 
-    A motor's current follows from its torque by the inverse of the torque table, the least one where the table is flat.
-    With I and speed w it takes the power I (R I + K_t w) from the battery, and turns R I^2 of it into heat:
+    A motor's current I follows from its torque by inverting the torque table; where the table is flat, the smallest
+    current is used. At speed w the motor draws the power I (R I + K_t w) from the battery; R I^2 becomes heat:
 
         C dT/dt = R I^2 - (T - T_air) / R_heat
 
-    The heat of a joint actuator is `HEAT_LOSS` of its power at full torque and the speed up to which it has that, times
-    the square of torque over limit.
+    For a joint actuator, heat is the fraction `HEAT_LOSS` of its power at maximum torque and the highest speed with
+    that torque, times the square of torque relative to the limit.
 
     Args:
-        state: a batch of one robot, after the step.
+        state: state of one robot after the step.
         power: C, T_air and R_heat.
-        dt: step [s].
-        temperature: of the motors (M,) [degC]; updated.
+        dt: duration of the step [s].
+        temperature: motor temperatures (M,) [degC]; updated in place.
     """
     motors, total = len(temperature), 0.0
     table_current, table_torque = state.table_current, state.table_torque
@@ -113,8 +113,8 @@ def power_tick(state: ActuationState, power: PowerConfig, dt: float, temperature
             for k in range(len(table_torque) - 1):
                 if nominal <= table_torque[k + 1]:
                     rise = table_torque[k + 1] - table_torque[k]
-                    share = (nominal - table_torque[k]) / rise if rise > 0.0 else 0.0
-                    current = table_current[k] + share * (table_current[k + 1] - table_current[k])
+                    fraction = (nominal - table_torque[k]) / rise if rise > 0.0 else 0.0
+                    current = table_current[k] + fraction * (table_current[k + 1] - table_current[k])
                     break
             current = math.copysign(current, torque)
             heat = state.resistance[0] * current * current

@@ -1,4 +1,4 @@
-"""The map of heights around the emulated robot, as a program with the robot's sensors would send it to a deployment."""
+"""Sender of height maps around the emulated robot, as a mapping program on a robot would send them."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from surefoot.arrays import Array
 from surefoot.deploy.map_channel import send_map
 from surefoot.emulator.plant import Plant
 from surefoot.rotations import quat_yaw
-from surefoot.task.height_scan import MAP, HeightScanner, ScanConfig
+from surefoot.task.height_scan import POLICY_GRID, HeightScanner, ScanConfig
 
 PERIOD = 20_000
-"""Time between two maps [us]; the delay of a map is a number of these."""
+"""Period of maps [us]; the unit of their delay."""
 
 
 class MapSender:
-    """Sends maps of the true ground, with errors, to the channel of `deploy.map_channel`.
+    """Sends height maps of the ground, with errors, to the channel of `deploy.map_channel`.
 
     Args:
-        port: of the channel.
-        plant: the body.
-        errors: what a map makes of the ground.
-        seed: of the errors.
+        port: port of the channel.
+        plant: simulated body of the robot.
+        errors: errors of the maps.
+        seed: seed of the errors.
     """
 
     def __init__(self, port: int, plant: Plant, errors: ScanConfig, seed: int) -> None:
@@ -31,15 +31,15 @@ class MapSender:
         self._scanner.reset(np.arange(1), self._ground, *self._pose())
 
     def _pose(self) -> tuple[Array, Array]:
-        seen = self._plant.capture()
-        return seen.position[None], np.atleast_1d(quat_yaw(seen.quat))
+        sample = self._plant.capture()
+        return sample.position[None], np.atleast_1d(quat_yaw(sample.quat))
 
-    def see(self, now: int) -> None:
-        """Send a map if a servo step that ended at `now` [us] is due for one."""
+    def update(self, now: int) -> None:
+        """Send a map if one is due at `now` [us], the end of a servo step."""
         if now % PERIOD:
             return
         self._scanner.update(self._ground, *self._pose())
-        send_map(self._port, self._scanner.heights.reshape(len(MAP.ahead), -1).tolist(), self._age)
+        send_map(self._port, self._scanner.heights.reshape(len(POLICY_GRID.ahead), -1).tolist(), self._age)
 
     def close(self) -> None:
         """Do nothing."""

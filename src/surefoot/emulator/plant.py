@@ -1,4 +1,4 @@
-"""The emulated robot's body: physics, battery, heat and sensors."""
+"""Simulated body of an emulated robot: physics, battery, motor heat and sensors."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from surefoot.actuator.motor import joint_torque, servo_duty
 from surefoot.arrays import Array
-from surefoot.deploy.board.signals import MotorOrder, Sensors, Vitals
+from surefoot.deploy.board.signals import MotorCommand, Sensors, Vitals
 from surefoot.deploy.messages import Mode
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.errors import SurefootError
@@ -23,23 +23,22 @@ from surefoot.world.sim_world import SimWorld
 
 
 @dataclass(frozen=True)
-class Capture:
-    """What a motion capture system and foot switches see.
-
-    Position (3,) [m] of the base link's origin and orientation (4,), w x y z, in the world, and servo steps with ground
-    contact (L,) of each foot since the robot was switched on.
-    """
+class CaptureSample:
+    """Sample of a motion capture system and foot switches."""
 
     position: Array
+    """Position (3,) of the base link's origin in the world [m]."""
     quat: Array
+    """Orientation (4,) of the base link in the world, w x y z."""
     contact_ticks: Array
+    """Number of servo steps with ground contact for each foot (L,), since the robot was switched on."""
 
 
 @dataclass(frozen=True)
-class JointOrder:
-    """What joint actuators do until the next order, each (M,): torque = feedforward + kp (angle - q) + kd (speed - dq).
+class JointCommand:
+    """Command to joint actuators (M,): torque = feedforward + kp (angle - q) + kd (speed - dq).
 
-    Units: rad, rad/s, N m, N m/rad, N m s/rad. The sum is limited as the actuator is.
+    Units: rad, rad/s, N m, N m/rad, N m s/rad. The torque is limited by the actuator.
     """
 
     angle: Array
@@ -50,18 +49,21 @@ class JointOrder:
 
 
 class Plant:
-    """One robot, switched on while it sits, with damped motors. Steps are those of the robot's servo.
+    """Simulated body of one robot, which starts in the sitting pose with damped motors. Steps are servo steps.
 
     Args:
-        params: physical parameters, one row; the control step is the host's and is not used.
-        seed: of all noise.
-        rack: hold the base in the air.
+        robot: description of the robot.
+        params: physical parameters, one row. Default to nominal; the control step is set by the host and not used.
+        seed: seed of all noise.
+        sensors: errors of the sensors.
+        power: battery and motor heat. Default to the data sheet's.
+        rack: whether to hold the base in the air.
         engine: name of the physics engine in the registry of worlds.
-        servo_every: physics steps between two of the servo.
-        ground: what the robot sits on.
+        servo_every: number of physics steps per servo step.
+        ground: ground on which the robot sits.
 
     Raises:
-        SurefootError: parameters that the robot does not allow, or a robot that does not settle sitting.
+        SurefootError: invalid parameters, or a robot that does not come to rest in the sitting pose.
     """
 
     def __init__(
@@ -82,7 +84,7 @@ class Plant:
         config = WorldConfig(rest=robot.poses.sit, rack=rack, ground=ground, threads=1)
         self.world = SimWorld(robot, 1, self.params, seed, config, engine)
         self.extra_latency = self.voltage_drop = 0.0
-        """Further age of all readings [s]; fall of the open-circuit voltage [V] besides that by the charge used."""
+        """Additional age of all readings [s], and additional decrease of the open-circuit voltage [V]."""
         motors = robot.num_motors
         self._noise = generator(seed, "emulated sensors")
         self._gyro_bias = self.sensors.gyro_bias * self._noise.standard_normal(3)
@@ -90,7 +92,7 @@ class Plant:
         self._torque_gain = 1.0 + self.sensors.torque_gain * self._torque_noise.standard_normal(motors)
         self._imu_noise = float(self.params.imu_noise[0])
         self.start_voltage = float(self.params.voltage[0]) if robot.actuator.kind == "dc" else robot.battery.nominal
-        """Battery voltage [V] without load when it was switched on."""
+        """Initial open-circuit voltage of the battery [V]."""
         self.world.actuation.voltage[0] = self.start_voltage
         self._count = np.ones(1, np.int64)
         self._row = np.empty(2 * motors + 6)
@@ -98,12 +100,12 @@ class Plant:
         self.energy = self.current = self._used = 0.0
         steps = round(float(self.params.servo_latency[0]) / robot.timing.servo_step)
         self._torques: deque[Array] = deque(maxlen=max(steps, 1))
-        """Torques of the last servo steps, for a microcontroller that computes the servos itself."""
+        """Torques of the last servo steps, for a microcontroller with its own servos."""
         self._contact = np.zeros(len(robot.legs))
-        self._order: MotorOrder | JointOrder
-        self._obey(MotorOrder(Mode.DISARMED, np.zeros(motors)))
-        # Load compiled code before the first step; the world has run the physics already.
-        self._look(0.0, 0.0)
+        self._command: MotorCommand | JointCommand
+        self._apply(MotorCommand(Mode.DISARMED, np.zeros(motors)))
+        # Load compiled code before the first step; the physics was already run by the world.
+        self._delayed_state(0.0, 0.0)
         self._draw_power(np.zeros(motors))
 
     @property
@@ -122,26 +124,26 @@ class Plant:
 
     @property
     def open_circuit(self) -> float:
-        """Battery voltage without load [V]."""
+        """Open-circuit voltage of the battery [V]."""
         used = self.power.battery_drop * self._used / self.power.battery_capacity
         return self.start_voltage - self.voltage_drop - used
 
-    def step(self, order: MotorOrder | JointOrder, count: int = 1) -> None:
-        """Run `count` servo steps under one order; update battery and heat after the last one.
+    def step(self, command: MotorCommand | JointCommand, count: int = 1) -> None:
+        """Run `count` servo steps with one command; update battery and temperatures after the last one.
 
-        `count` is 1 if the servo runs less often than the physics; orders for joints need a servo that does not.
+        If the servo runs less often than the physics, `count` must be 1, and joint commands are not supported.
 
         Raises:
             SurefootError: the physics diverged.
         """
         world, actuation = self.world, self.world.actuation
-        if order is not self._order:
-            self._obey(order)
+        if command is not self._command:
+            self._apply(command)
         slow = self.servo_every > 1 and self.ticks % self.servo_every == 0
-        if slow and isinstance(order, MotorOrder) and order.mode != Mode.PWM:
-            seen = self._look(0.0, float(self.params.servo_latency[0]))
+        if slow and isinstance(command, MotorCommand) and command.mode != Mode.PWM:
+            seen = self._delayed_state(0.0, float(self.params.servo_latency[0]))
             motors = self.robot.num_motors
-            actuation.duty[0] = self._duty(order.values, seen[:motors], seen[motors : 2 * motors])
+            actuation.duty[0] = self._duty(command.values, seen[:motors], seen[motors : 2 * motors])
         self._count[0] = count
         world.engine.advance(self._count)
         if world.engine.diverged[0]:
@@ -150,27 +152,27 @@ class Plant:
         self._contact += actuation.contact_ticks[0]
         self._draw_power(self.temperature, count)
 
-    def _obey(self, order: MotorOrder | JointOrder) -> None:
+    def _apply(self, command: MotorCommand | JointCommand) -> None:
         actuation, none = self.world.actuation, np.zeros(self.robot.num_motors)
-        self._order = order
-        if isinstance(order, JointOrder):
-            actuation.target[0], actuation.kp[0], actuation.kd[0] = order.angle, order.kp, order.kd
-            # A joint actuator adds its duty, a share of its greatest torque, to that of its PD law.
-            actuation.duty[0] = (order.feedforward + order.kd * order.speed) / actuation.max_torque[0]
+        self._command = command
+        if isinstance(command, JointCommand):
+            actuation.target[0], actuation.kp[0], actuation.kd[0] = command.angle, command.kp, command.kd
+            # A joint actuator adds its duty, relative to the maximum torque, to the torque of its PD law.
+            actuation.duty[0] = (command.feedforward + command.kd * command.speed) / actuation.max_torque[0]
             return
-        position, pwm = order.mode == Mode.POSITION, order.mode == Mode.PWM
+        position, pwm = command.mode == Mode.POSITION, command.mode == Mode.PWM
         if position:
             self._gains = self.params.servo_kp[0], self.params.servo_kd[0]
         else:
-            # Damped motors have the servo's own gain: with twice as much, and delayed speeds, they oscillate.
+            # Damped motors have the servo's derivative gain: with twice the gain and delayed speeds, they oscillate.
             self._gains = none, none if pwm else np.asarray(self.robot.actuator.kd)
-        actuation.duty[0] = order.values if pwm else 0.0
-        actuation.target[0] = order.values if position else 0.0
-        # A servo that runs less often than the physics is computed in `step`; its duty holds in between.
+        actuation.duty[0] = command.values if pwm else 0.0
+        actuation.target[0] = command.values if position else 0.0
+        # A servo that runs less often than the physics is computed in `step`; its duty is constant in between.
         actuation.kp[0], actuation.kd[0] = self._gains if self.servo_every == 1 else (none, none)
 
     def _duty(self, target: Array, angle: Array, speed: Array) -> Array:
-        """Return the servos' output: a duty of DC motors, a share of the torque limit of joint actuators."""
+        """Return the output of the servos: duties of DC motors, or torques of joint actuators relative to the limit."""
         if self.robot.actuator.kind == "dc":
             return np.asarray(servo_duty(target, angle, speed, *self._gains))
         return np.asarray(joint_torque(target, angle, speed, *self._gains) / self.world.actuation.max_torque[0])
@@ -181,8 +183,8 @@ class Plant:
         self._used += self.current * dt
         actuation.voltage[0] = max(self.open_circuit - power.battery_resistance * self.current, 1.0)
 
-    def _look(self, since_step: float, latency: float) -> Array:
-        """Return the state `latency` [s] before now, which is `since_step` [s] after the last servo step."""
+    def _delayed_state(self, since_step: float, latency: float) -> Array:
+        """Return the state `latency` [s] ago; the present time is `since_step` [s] after the last servo step."""
         read_delayed(self.world.actuation, np.array([latency - since_step]), self._row[None])
         return self._row
 
@@ -193,28 +195,28 @@ class Plant:
         read_imu(tilt[None], rate[None], self._seconds, self.params)
         return Vitals(
             motor_angle=now[:motors],
-            # Of numpy's, since Python's greatest may leave a NaN out.
+            # numpy's maximum propagates NaN, Python's may not.
             tilt=float(np.abs(tilt[:2]).max()),
             voltage=self.voltage,
             temperature=float(self.temperature.max()),
         )
 
     def servo_readings(self) -> Sensors:
-        """Return what a microcontroller reads that computes the servos itself, once a servo step.
+        """Return the readings of a microcontroller with its own servos; call once per servo step.
 
-        Angles, speeds and torques are as old as the servo latency.
+        Angles, speeds and torques are delayed by the servo latency.
         """
         actuation, motors = self.world.actuation, self.robot.num_motors
-        seen = self._look(0.0, float(self.params.servo_latency[0])).copy()
+        seen = self._delayed_state(0.0, float(self.params.servo_latency[0])).copy()
         now, speed = actuation.sample[0].copy(), seen[motors : 2 * motors]
         self._torques.append(actuation.motor_torque[0].copy())
         tilt, rate = now[-6:-3], now[-3:]
         read_imu(tilt[None], rate[None], self._seconds, self.params)
         if actuation.joint[0]:
-            # Joint actuators filter the speed; this is the value at the end of the step's filter.
+            # Joint actuators filter the speed; this is the filtered value at the end of the step.
             step = self.robot.timing.servo_step
-            follow = step / (float(actuation.speed_filter[0]) + step)
-            speed = actuation.filtered_speed[0] + follow * (speed - actuation.filtered_speed[0])
+            weight = step / (float(actuation.speed_filter[0]) + step)
+            speed = actuation.filtered_speed[0] + weight * (speed - actuation.filtered_speed[0])
         return Sensors(
             motor_angle=seen[:motors],
             motor_velocity=speed,
@@ -232,7 +234,7 @@ class Plant:
         The last servo step ended `since_step` [s] ago.
         """
         latency = max(float(self.params.control_latency[0]) + self.extra_latency - lead, 0.0)
-        row, motors = self._look(since_step, latency).copy(), self.robot.num_motors
+        row, motors = self._delayed_state(since_step, latency).copy(), self.robot.num_motors
         config, noise = self.sensors, self._noise
         angle, speed, tilt, rate = row[:motors], row[motors : 2 * motors], row[-6:-3], row[-3:]
         if config.encoder_step:
@@ -259,11 +261,11 @@ class Plant:
             temperature=self.temperature.copy(),
         )
 
-    def capture(self) -> Capture:
-        """Return what a motion capture system sees now."""
+    def capture(self) -> CaptureSample:
+        """Return the present sample of motion capture and foot switches."""
         base = self.world.engine.base()[0]
-        return Capture(base[:3].copy(), base[3:7].copy(), self._contact.copy())
+        return CaptureSample(base[:3].copy(), base[3:7].copy(), self._contact.copy())
 
     def push(self, force_world: Array) -> None:
-        """Set the force (3,) [N] on the base's centre of mass from now on."""
+        """Set the external force (3,) on the base's centre of mass from now on [N]."""
         self.world.push(force_world[None])

@@ -1,4 +1,4 @@
-"""The emulator in real time: a robot that follows the computer's clock."""
+"""Real-time loop of an emulated robot, which follows the computer's clock."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from typing import Protocol
 from surefoot.deploy.board.signals import microseconds
 from surefoot.emulator.plant import Plant
 
-BEHIND = 10_000
-"""Lag of the physics [us] from which on it is reported."""
-SLIP = 50_000
-"""Lag [us] beyond which robot time slips instead of catching up."""
+REPORTED_LAG = 10_000
+"""Minimum lag of the physics that is reported [us]."""
+MAX_LAG = 50_000
+"""Maximum lag [us]; beyond it, robot time slips instead of catching up."""
 _MAX_STRIDE = 4_000
-"""Time [us] that the robot may advance before the port is read again, so that arrivals are stamped in time."""
-_REPORT_EVERY = 1.0
+"""Maximum advance of the robot before the port is read again [us], which limits errors of arrival times."""
+_REPORT_PERIOD = 1.0
 _PAUSE = 1e-3
-"""Pause [s] when robot time slips: a process that has priority over all others must not keep the processor."""
+"""Pause when robot time slips [s]: a process with real-time priority must not occupy the processor."""
 
 
 class Transport(Protocol):
-    """What a loop that advances a robot needs of its link. Times are whole microseconds on the robot's clock."""
+    """Interface to the link of an emulated robot. Times are whole microseconds on the robot's clock."""
 
     def poll(self, now: int) -> None:
-        """Put what hosts have written on its way to the robot."""
+        """Read the data that hosts have written, and send them to the robot."""
 
     def flush(self, now: int) -> None:
-        """Hand over to hosts what has reached them by now."""
+        """Write the data that have reached the hosts by now."""
 
     def wait(self, timeout: float) -> bool:
-        """Wait until hosts have written something, at most `timeout` [s]; return whether they have."""
+        """Wait until hosts have written data, at most `timeout` [s]; return whether they have."""
 
 
 class EmulatedRobot(Protocol):
-    """What the loop needs of a robot. Times are whole microseconds since it was switched on."""
+    """Interface to an emulated robot. Times are whole microseconds since it was switched on."""
 
     plant: Plant
     now: int
@@ -47,34 +47,34 @@ class EmulatedRobot(Protocol):
 
     @property
     def link(self) -> Transport:
-        """Its link to hosts."""
+        """Link to hosts."""
 
     @property
     def next_step(self) -> int:
-        """When the servo step in progress ends."""
+        """End of the servo step in progress."""
 
     @property
     def next_time(self) -> float:
-        """When there is something to do next."""
+        """Time of the next event."""
 
     def run_to(self, time: int) -> None:
-        """Run everything that happens until a time."""
+        """Process all events until a time."""
 
     def counts(self) -> list[str]:
-        """Return what happened on its link, for the line at the end."""
+        """Return statistics of the link, for the summary."""
 
 
 @dataclass
 class Summary:
-    """What happened while the emulator ran. Times in s."""
+    """Summary of a run of the emulator. Times in s."""
 
     robot_time: float = 0.0
     real_time: float = 0.0
     processor_time: float = 0.0
     behind: int = 0
-    """How often the physics fell behind by more than `BEHIND`."""
-    worst: float = 0.0
-    """Largest lag."""
+    """How often the physics fell behind real time by more than `REPORTED_LAG`."""
+    max_lag: float = 0.0
+    """Maximum lag."""
     slips: int = 0
     slipped: float = 0.0
     """How often robot time slipped, and by how much in total."""
@@ -82,12 +82,12 @@ class Summary:
     """Set from outside to end the loop."""
 
     def text(self, board: EmulatedRobot) -> str:
-        """Return one line for the end."""
-        share = self.processor_time / self.real_time if self.real_time > 0 else 0.0
+        """Return the summary as one line."""
+        fraction = self.processor_time / self.real_time if self.real_time > 0 else 0.0
         parts = [
             f"{self.robot_time:.3f} s of robot time in {self.real_time:.1f} s",
-            f"{100 * share:.0f} % of a processor",
-            f"behind {self.behind} times (by {1e3 * self.worst:.1f} ms at worst)",
+            f"{100 * fraction:.0f} % of a processor",
+            f"behind {self.behind} times (by {1e3 * self.max_lag:.1f} ms at worst)",
             f"slipped {self.slips} times ({self.slipped:.3f} s)",
             *board.counts(),
         ]
@@ -96,7 +96,7 @@ class Summary:
 
 @contextmanager
 def measure(board: EmulatedRobot, summary: Summary) -> Iterator[None]:
-    """Measure the time of a run for its summary."""
+    """Measure the times of a run for its summary."""
     started, used = time.monotonic(), time.process_time()
     yield
     summary.robot_time = board.now / 1e6
@@ -104,10 +104,13 @@ def measure(board: EmulatedRobot, summary: Summary) -> Iterator[None]:
     summary.processor_time = time.process_time() - used
 
 
-class RealTime:
-    """Advances a robot by the computer's monotonic clock, and sleeps in between, until `summary.stop` is set.
+class RealTimeLoop:
+    """Advances an emulated robot with the computer's monotonic clock, until `summary.stop` is set.
 
-    The physics takes at least `load` times real time.
+    Args:
+        board: emulated robot.
+        summary: receives the times of the run, and ends the loop.
+        load: minimum duration of the physics, relative to real time.
     """
 
     def __init__(self, board: EmulatedRobot, summary: Summary, load: float = 0.0) -> None:
@@ -116,7 +119,7 @@ class RealTime:
         self._since = 0.0, 0.0
 
     def run(self, until: float | None = None) -> None:
-        """Run until so much robot time [s] has passed, or until stopped."""
+        """Run for `until` of robot time [s], or until stopped."""
         board, link, summary = self.board, self.board.link, self._summary
         self._since = time.monotonic(), time.process_time()
         start = self._since[0] - board.now / 1e6
@@ -126,12 +129,12 @@ class RealTime:
             while not summary.stop and board.now < end:
                 now = int((time.monotonic() - start) * 1e6)
                 lag = now - board.next_step
-                summary.worst = max(summary.worst, lag / 1e6)
-                if lag > BEHIND:
+                summary.max_lag = max(summary.max_lag, lag / 1e6)
+                if lag > REPORTED_LAG:
                     summary.behind += not late
                     self._report(lag)
-                late = lag > BEHIND
-                if lag > SLIP:
+                late = lag > REPORTED_LAG
+                if lag > MAX_LAG:
                     summary.slips += 1
                     summary.slipped += lag / 1e6
                     start += lag / 1e6
@@ -150,11 +153,11 @@ class RealTime:
         real, used = time.monotonic(), time.process_time()
         if real < self._next_report:
             return
-        share = (used - self._since[1]) / max(real - self._since[0], 1e-3)
+        fraction = (used - self._since[1]) / max(real - self._since[0], 1e-3)
         print(
             f"surefoot: the emulator is {lag / 1e3:.0f} ms behind real time "
-            f"(it used {100 * share:.0f} % of a processor since)",
+            f"(it used {100 * fraction:.0f} % of a processor since)",
             file=sys.stderr,
             flush=True,
         )
-        self._next_report, self._since = real + _REPORT_EVERY, (real, used)
+        self._next_report, self._since = real + _REPORT_PERIOD, (real, used)

@@ -1,1 +1,1 @@
-"""Numbers from episode traces: speed, power, return, footfalls and the gap between two worlds."""
+"""Evaluation of policies: episodes, and metrics of their traces (speed, power, return, gait, tracking, reality gap)."""

@@ -1,4 +1,4 @@
-"""One simulated robot under live control: commands, parameters and pushes act from the next control step on."""
+"""One simulated robot under live control; commands, parameters and pushes act from the next control step on."""
 
 from __future__ import annotations
 
@@ -22,71 +22,71 @@ from surefoot.task.terrain import TerrainConfig
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world, is_modelled
 
-FIXED = ("control_step",)
-"""Parameters that belong to the policy, and can't be changed while it runs."""
+FIXED_PARAMETERS = ("control_step",)
+"""Physical parameters that are part of the policy's contract and can't be changed while it runs."""
 _SEED = 1
 _MAX_STEPS = 1_000_000
 _LIE_TIME = 1.5
-"""How long a robot that fell lies until it stands again at its start [s]."""
+"""Time between a fall and the reset to the start [s]."""
 MAX_RECORDING = 120.0
-"""Longest recording [s]."""
+"""Maximum length of a recording [s]."""
 _MAX_FORCE = 2000.0
-"""Greatest force of a push [N]."""
+"""Maximum force of a push [N]."""
 
 
 @dataclass(frozen=True)
-class Knob:
+class LiveParameter:
     """A physical parameter that can be changed while the robot runs."""
 
     name: str
-    """The parameter, and behind a dot the column of one that has several columns of different meaning."""
+    """Name of the parameter; if its columns have different meanings, with the column's name after a dot."""
     group: str
     label: str
     unit: str
-    """Unit; empty for numbers without one, "x nominal" for ratios."""
+    """Unit; empty for dimensionless numbers, "x nominal" for ratios."""
     meaning: str
     low: float
-    """Least value that the robot allows."""
+    """Minimum that the robot allows."""
     high: float
-    """Greatest value that the robot allows."""
+    """Maximum that the robot allows."""
     nominal: float
-    """Value that the policy's task has."""
+    """Value in the policy's task; the mean if each motor has its own value."""
     value: float
-    """Present value; the motors' mean, where each has its own, as in `nominal`."""
+    """Current value; the mean if each motor has its own value."""
 
 
 @dataclass(frozen=True)
 class DrivenStep:
-    """A control step of a driven robot."""
+    """State of a driven robot at the end of a control step."""
 
     time: float
-    """Simulated time since the robot was made [s]."""
+    """Simulated time since the robot was created [s]."""
     position: Array
-    """Base in the world (3,) [m]."""
+    """Position of the base in the world frame (3,) [m]."""
     velocity: Array
-    """Base in the heading frame (3,) [m/s]; the third is the yaw rate [rad/s]."""
+    """Forward and sideways speed in the heading frame [m/s] and yaw rate [rad/s] (3,)."""
     command: Array
-    """What the gait follows (3,) [m/s, m/s, rad/s]; NaN without commands."""
+    """Filtered command that the gait follows (3,) [m/s, m/s, rad/s]; NaN without commands."""
     torque: Array
-    """Motors (M,) [N m]."""
+    """Motor torques (M,) [N m]."""
     heat: float
-    """All motors [W]."""
+    """Heating power of all motors [W]."""
     contact: Array
-    """Share of the step in which each foot touched the ground (L,)."""
+    """Fraction of the step in which each foot touched the ground (L,)."""
 
 
 class DrivenRecording:
-    """Control steps of a driven robot, up to a fall, a restart, `MAX_RECORDING` or its end.
+    """Recording of a driven robot, which ends at a fall, a restart, `MAX_RECORDING` or a call of `end`.
 
     Args:
-        env: the robot's.
-        meta: entries of the trace's meta.
+        env: environment of the robot.
+        meta: additional entries of the trace's metadata.
     """
 
     def __init__(self, env: LocomotionEnv, meta: dict[str, Any]) -> None:
         self._env, self._recorder, self._meta = env, EpisodeRecorder(env, pushed=True), meta
         self.ended = ""
-        """How it ended, as in a trace's meta; empty while it goes on."""
+        """How it ended, as in a trace's metadata; empty while it is running."""
         self.on_rows: Callable[[Array], None] = lambda rows: None
         """Called with the row (1, width) of every control step."""
 
@@ -96,7 +96,7 @@ class DrivenRecording:
         return len(self._recorder.rows) * float(self._env.world.params.control_step[0])
 
     def add(self, observation: NDArray[np.float32], fell: bool) -> None:
-        """Add the control step that just ended, unless the recording has; `observation` (1, O) is of its start."""
+        """Add the last control step, unless the recording has ended; `observation` (1, O) is the one at its start."""
         if self.ended:
             return
         if self._env.state.truth.diverged[0]:
@@ -107,11 +107,11 @@ class DrivenRecording:
             self.end("fall" if fell else "time")
 
     def end(self, ended: str) -> None:
-        """End the recording, if it goes on."""
+        """End the recording; without effect if it has already ended."""
         self.ended = self.ended or ended
 
     def head(self) -> bytes:
-        """Return the first line of the file of its rows."""
+        """Return the header line of the file that stores its rows."""
         return self._recorder.head(0, self._meta).line()
 
     def trace(self) -> EpisodeTrace:
@@ -127,18 +127,18 @@ class DrivenRecording:
 
 
 class DrivenRobot:
-    """A policy in a world, run one control step at a time.
+    """Simulated robot that runs a policy one control step at a time.
 
     Args:
-        policy: gives the feedback.
-        task: what it was trained on; neither pushes nor randomization act.
+        policy: computes the feedback.
+        task: the policy's task; its pushes and randomization are switched off.
         world: name of the world.
-        terrain: what the robot stands on, as `TerrainConfig.ground`.
+        terrain: terrain, as in `TerrainConfig.ground`.
     """
 
     def __init__(self, policy: Controller, task: TaskConfig, world: str, terrain: str = "flat") -> None:
         pushes = replace(task.pushes, enabled=False)
-        # Every start is the same, so that robots that start together can be compared.
+        # Every start is the same, so that two robots that start together can be compared.
         task = replace(task, start_linear_speed=0.0, start_angular_speed=0.0)
         ground = TerrainConfig(ground=terrain, scan=task.terrain.scan)
         task = replace(task, pushes=pushes, max_steps=_MAX_STEPS, randomize={}, terrain=ground)
@@ -155,31 +155,31 @@ class DrivenRobot:
 
     @property
     def commanded(self) -> Array:
-        """The command (3,) [m/s, m/s, rad/s] within the limits, before the filter."""
+        """Command (3,) [m/s, m/s, rad/s], clamped to the limits, before the filter."""
         command: Array = self._command.command[0]
         return command
 
     @property
     def push_force_world(self) -> Array:
-        """Force (3,) [N] that pushes the base now."""
+        """Current push on the base, in the world frame (3,) [N]."""
         force: Array = self.env.state.push_force[0]
         return force
 
     @property
     def must_stand_up(self) -> bool:
-        """Whether the robot fell so long ago that the next step begins at its start."""
+        """Whether the next step resets the robot, `_LIE_TIME` after a fall."""
         return self.time >= self._stand_at
 
     @property
     def time(self) -> float:
-        """Simulated time since the robot was made [s]."""
+        """Simulated time since the robot was created [s]."""
         return self.steps * self.step_time
 
     def command(self, command: ArrayLike) -> None:
         """Set the command (3,) [m/s, m/s, rad/s], clamped to the policy's limits; `CommandFilter` follows it.
 
         Raises:
-            SurefootError: a policy without commands, or numbers that are not finite.
+            SurefootError: the policy has no commands, or a number is not finite.
         """
         if self.limits is None:
             raise SurefootError("this policy follows no commands")
@@ -189,7 +189,7 @@ class DrivenRobot:
         """Push the base with a force (3,) [N] in the heading frame, for a duration [s].
 
         Raises:
-            SurefootError: numbers that are not finite, or too large.
+            SurefootError: a number is not finite, or the force or duration is too large.
         """
         vector = np.asarray(force, float)
         if vector.shape != (3,) or not (np.linalg.norm(vector) <= _MAX_FORCE) or not 0.0 < duration <= 10.0:
@@ -202,9 +202,9 @@ class DrivenRobot:
         self.env.state.push_force[:] = force_world
         self.env.world.push(force_world)
 
-    def knobs(self) -> list[Knob]:
-        """Return the numbers that can be set: what the robot's motors have and the world's engine models."""
-        knobs = []
+    def live_parameters(self) -> list[LiveParameter]:
+        """Return the parameters that can be changed: those that the motors have and the world's engine models."""
+        parameters = []
         for name, declared in PARAMETERS.items():
             if not self._has(name, declared):
                 continue
@@ -213,9 +213,9 @@ class DrivenRobot:
             values, nominal = (getattr(one, name)[0] for one in (self.env.world.params, self.env.nominal))
             parts = {"": (nominal.mean(), values.mean())}
             if declared.per not in ("", "motors"):
-                parts = dict(zip(declared.parts(()), zip(nominal, values, strict=True), strict=True))
-            knobs += [
-                Knob(
+                parts = dict(zip(declared.element_names(()), zip(nominal, values, strict=True), strict=True))
+            parameters += [
+                LiveParameter(
                     f"{name}.{part}".removesuffix("."),
                     declared.group,
                     f"{declared.label}, {part}".removesuffix(", "),
@@ -226,35 +226,40 @@ class DrivenRobot:
                 )
                 for part, pair in parts.items()
             ]
-        return knobs
+        return parameters
 
     def _has(self, name: str, declared: Parameter) -> bool:
         ignored = declared.servo_only and self.env.task.actuator == "constraint"
-        return name not in FIXED and declared.belongs_to(self.robot) and is_modelled(self.world, name) and not ignored
+        return (
+            name not in FIXED_PARAMETERS
+            and declared.belongs_to(self.robot)
+            and is_modelled(self.world, name)
+            and not ignored
+        )
 
-    def set(self, knob: str, value: float) -> None:
-        """Set a knob's parameter in the running simulation.
+    def set(self, parameter: str, value: float) -> None:
+        """Set a physical parameter in the running simulation.
 
-        Where each motor has a value of its own, all are scaled to the new mean.
+        If each motor has its own value, all are scaled to the new mean.
 
         Raises:
-            SurefootError: no such knob, or a value that robot or engine do not allow; then nothing has changed.
+            SurefootError: no such parameter, or the robot or the engine does not allow the value; nothing has changed.
         """
-        name, _, column = knob.partition(".")
-        if knob not in (one.name for one in self.knobs()):
-            raise SurefootError(f"'{knob}' is not a parameter of {self.robot.name} that can be set while it runs")
+        name, _, column = parameter.partition(".")
+        if parameter not in (one.name for one in self.live_parameters()):
+            raise SurefootError(f"'{parameter}' is not a parameter of {self.robot.name} that can be set while it runs")
         world = self.env.world
         now, nominal = getattr(world.params, name), getattr(self.env.nominal, name)
         if column:
             values = now.copy()
-            values[:, PARAMETERS[name].parts(()).index(column)] = value
+            values[:, PARAMETERS[name].element_names(()).index(column)] = value
         else:
             mean = float(nominal.mean())
             values = nominal / mean * value if mean else np.full_like(now, value)
         world.set_params([0], world.params.rows([0]).with_values(self.robot, **{name: values}))
 
     def restart(self) -> None:
-        """Reset the robot to its start; parameters stay, and a recording ends."""
+        """Reset the robot to its start and end its recording; parameters keep their values."""
         self.restarts += 1
         if self._recording is not None:
             self._recording.end("stopped")
@@ -263,12 +268,12 @@ class DrivenRobot:
         self._push_until = self._stand_at = np.inf
 
     def record(self, policy: str) -> DrivenRecording:
-        """Start to record the control steps of a policy of this name; return the recording, in place of an earlier."""
+        """Start a new recording, whose trace names the policy `policy`; it replaces an earlier recording."""
         self._recording = DrivenRecording(self.env, {"policy": policy, "world": self.world, "seed": _SEED})
         return self._recording
 
     def step(self) -> DrivenStep:
-        """Run one control step; a robot that fell stands up again after a while."""
+        """Run one control step; a robot that fell is reset after `_LIE_TIME`."""
         env = self.env
         if self.must_stand_up:
             self.restart()

@@ -1,4 +1,4 @@
-"""Conditions that policies are run under: what differs from the simulation that a policy was trained in."""
+"""Evaluation conditions: differences from the simulation in which a policy was trained."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Literal
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.params import CONTROLLER
+from surefoot.robot.params import CONTROLLER_PARAMETERS
 from surefoot.robot.params_file import ParamValue, find_params, read_params
 from surefoot.robot.randomization import Ranges
 from surefoot.task.commands import read_schedule, schedule_duration
@@ -25,56 +25,57 @@ Actuator = Literal["dc", "constraint"]
 
 @dataclass(frozen=True)
 class Condition:
-    """What differs from a policy's task; without any difference the robot is nominal, and nothing pushes it."""
+    """Changes to a policy's task for an evaluation. By default the robot is nominal and is not pushed."""
 
     name: str = ""
     meaning: str = ""
-    """The condition in words."""
+    """Description for tables and pages."""
     world: str = "mujoco"
     """Name of the world."""
     data_sheet: bool = False
-    """Take the robot and the motors of the data sheet, as `away_task`."""
+    """Use the robot and motors of the data sheet, see `data_sheet_task`."""
     actuator: Actuator | None = None
     """Actuator of the motors; defaults to the task's."""
     params_file: Path | None = None
-    """File of a robot's parameters (.toml), or the name of one that ships with it, in place of the task's."""
+    """File of a robot's physical parameters (.toml), or the name of one that ships with the robot. Defaults to the
+    task's parameters."""
     estimated_gains: bool = True
-    """Take the file's servo gains also where an identification estimated them. A policy's contract states the gains of
-    its training, and the robot gets these: a training on estimates would apply their error twice."""
+    """Use the file's servo gains even if an identification estimated them. Trainings do not: the robot receives the
+    gains that the policy's contract states, so a training on estimated gains would apply their error twice."""
     params: Mapping[str, ParamValue] = field(default_factory=dict)
-    """Physical parameters by name, over those of task and file."""
+    """Physical parameters by name; they override the task's and the file's."""
     thermal_protection: bool = False
-    """Switch off motors that overheat, also if the task does not."""
+    """Switch off motors that overheat, even if the task does not."""
     randomize: Ranges = field(default_factory=dict)
-    """Ranges of the parameters that every episode draws."""
+    """Ranges from which every episode draws its physical parameters."""
     pushes: bool | PushConfig = False
-    """Push the robot at random, as the task says, or as stated here."""
+    """Random pushes: True for the task's, or their settings."""
     push_force: tuple[float, float] | None = None
-    """Least and greatest force of horizontal pushes [N]; the robot is pushed, if given."""
+    """Minimum and maximum force of horizontal pushes [N]; setting it switches pushes on."""
     commands: Path | None = None
-    """File of commands (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]), followed to its end, also where
-    episodes of the task are shorter; defaults to drawn commands."""
+    """File of commands (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]). Episodes are lengthened to its end if
+    the task's are shorter. Defaults to random commands."""
     command_rows: tuple[tuple[float, float, float], ...] = ()
-    """Commands [m/s, m/s, rad/s] that hold for a whole episode, a row an episode, in place of drawn ones."""
+    """Constant commands [m/s, m/s, rad/s], one row per episode, instead of random ones."""
     terrain: str | None = "flat"
-    """What robots stand on, see `TerrainConfig.ground`; the task's own terrain, if None."""
+    """Terrain, see `TerrainConfig.ground`; None for the task's own."""
     duration: float | None = None
-    """Length of an episode [s]; defaults to the number of control steps of the task."""
+    """Length of an episode [s]. Defaults to the task's number of control steps."""
     same_duration: bool = False
-    """Episodes last as long as in training [s], also with another control step: returns can be compared."""
+    """Keep the training's episode length [s] even if the control step differs, so that returns can be compared."""
     curricula: bool = False
-    """Keep the curricula of the task's ranges and commands, which make a robot's first episodes easier.
-    Comparisons, test worlds and the table of a training keep them, so that their numbers stay those published."""
+    """Keep the curricula of the task's ranges and commands, which make a robot's first episodes easier. Comparisons,
+    test worlds and a training's table keep them, so that their numbers match the published ones."""
 
     def simulate(self, task: TaskConfig) -> TaskConfig:
-        """Return a task in this condition's simulator: robot, motors and physical parameters.
+        """Return a task with this condition's robot, motors and physical parameters.
 
         Raises:
-            SurefootError: an actuator that the task does not go with, or a file of parameters that does not fit the
-                task's robot and control step.
+            SurefootError: the task does not support the actuator, or the parameter file does not fit the task's robot
+                and control step.
         """
         if self.data_sheet:
-            task = away_task(task)
+            task = data_sheet_task(task)
         if self.params_file is not None:
             task = _apply_file(task, self.params_file, self.estimated_gains)
         task = replace(task, actuator=self.actuator or task.actuator, params={**task.params, **self.params})
@@ -85,16 +86,16 @@ class Condition:
         """Return a policy's task under this condition.
 
         Args:
-            task: as the policy was trained.
+            task: the task of the training.
             robot: the task's robot.
 
         Raises:
-            SurefootError: as `simulate`, a value that the robot does not allow, no such terrain, or commands for a task
-                that has none.
+            SurefootError: see `simulate`; the robot does not allow a value, the terrain does not exist, or commands are
+                given and the task has none.
         """
         trained = task
         task = self.simulate(replace(task, thermal_protection=task.thermal_protection or self.thermal_protection))
-        task.nominal(robot)  # refuses parameters that the robot does not allow
+        task.nominal(robot)  # raises for parameters that the robot does not allow
         commands = task.commands if self.curricula else replace(task.commands, ramp=0)
         if self.commands is not None:
             if not commands.enabled:
@@ -111,30 +112,30 @@ class Condition:
             task = on_terrain(task, self.terrain)
         if self.duration is not None or self.same_duration:
             return with_duration(task, robot, self.duration or episode_duration(trained))
-        whole = with_duration(task, robot, schedule_duration(commands.schedule))
-        return whole if whole.max_steps > task.max_steps else task
+        lengthened = with_duration(task, robot, schedule_duration(commands.schedule))
+        return lengthened if lengthened.max_steps > task.max_steps else task
 
 
-def home_task(task: TaskConfig) -> TaskConfig:
-    """Return the task in the policy's own simulator, with its actuator and latencies; no randomization, no pushes."""
+def undisturbed_task(task: TaskConfig) -> TaskConfig:
+    """Return the task without randomization and pushes, with its own actuator, latencies and physical parameters."""
     return replace(task, randomize={}, pushes=replace(task.pushes, enabled=False))
 
 
-def away_task(task: TaskConfig) -> TaskConfig:
-    """Return the task on the robot of the data sheet, whatever it was trained with: a stand-in for reality.
+def data_sheet_task(task: TaskConfig) -> TaskConfig:
+    """Return the task on the robot as its data sheet describes it, whatever robot and motors the training had.
 
-    What the controller sets stays: control step and gains.
+    Such a robot stands in for reality. Control step and gains, which the controller sets, are kept.
     """
-    params = {name: value for name, value in task.params.items() if name in CONTROLLER}
-    return replace(home_task(task), actuator="dc", params=params, params_source={})
+    params = {name: value for name, value in task.params.items() if name in CONTROLLER_PARAMETERS}
+    return replace(undisturbed_task(task), actuator="dc", params=params, params_source={})
 
 
 def _apply_file(task: TaskConfig, path: Path, estimated_gains: bool) -> TaskConfig:
-    """Return the task on the robot of a file of parameters.
+    """Return the task on the robot that a parameter file describes.
 
     The file replaces all of the task's parameters, so that a policy that was trained on one identified robot does not
-    run on a mixture of two. Only what the controller sets stays: the control step, and gains unless the file has them,
-    as estimates only with `estimated_gains`.
+    run on a mixture of two. Only the controller's parameters are kept: the control step, and the gains unless the file
+    states them (estimated gains count only with `estimated_gains`).
     """
     robot = RobotDescription.load(task.robot)
     path = find_params(path, robot)
@@ -146,33 +147,35 @@ def _apply_file(task: TaskConfig, path: Path, estimated_gains: bool) -> TaskConf
             "it belongs to the policy, not to the robot: leave it out of the file"
         )
     estimated = () if estimated_gains else file.tables.get("identified_by", ())
-    values = {name: value for name, value in file.values.items() if name not in CONTROLLER or name not in estimated}
-    own = {name: task.params[name] for name in CONTROLLER if name in task.params and name not in values}
+    values = {
+        name: value for name, value in file.values.items() if name not in CONTROLLER_PARAMETERS or name not in estimated
+    }
+    own = {name: task.params[name] for name in CONTROLLER_PARAMETERS if name in task.params and name not in values}
     return replace(task, params={**values, **own}, params_source=file.source)
 
 
 def on_terrain(task: TaskConfig, terrain: str) -> TaskConfig:
-    """Return the task on one terrain for all robots, see `TerrainConfig.ground`.
+    """Return the task with the same terrain for all robots, see `TerrainConfig.ground`.
 
-    Robots that follow commands are turned in every direction at their start, so that they meet different places; on
-    a map they head along x.
+    Robots that follow commands start with random headings, so that they cross different parts of the terrain; on a map
+    they head along x.
 
     Raises:
-        SurefootError: no such terrain, or a map that no robot can stand on.
+        SurefootError: no such terrain, or no robot can stand on the map.
     """
     ground = str(Path(terrain).resolve()) if is_map(terrain) else terrain
     every = task.commands.enabled and terrain != "flat" and not is_map(terrain)
     changed = TerrainConfig(ground=ground, heading=180.0 if every else 0.0, scan=task.terrain.scan)
-    changed.build(0)  # refuses one that does not exist
+    changed.build(0)  # raises if the terrain does not exist
     return replace(task, terrain=changed)
 
 
 def with_duration(task: TaskConfig, robot: RobotDescription, duration: float) -> TaskConfig:
-    """Return the task with episodes of a duration [s]."""
+    """Return the task with another episode length [s]."""
     steps = round(duration / float(task.nominal(robot).control_step[0]))
     return replace(task, max_steps=max(steps, 1))
 
 
 def episode_duration(task: TaskConfig) -> float:
-    """Return how long an episode of a task lasts in the nominal world [s]."""
+    """Return the length of a task's episodes with nominal parameters [s]."""
     return task.max_steps * float(task.nominal(RobotDescription.load(task.robot)).control_step[0])

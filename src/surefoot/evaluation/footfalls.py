@@ -1,20 +1,20 @@
-"""From foot contacts to the name of the gait: strides, duty factors, phases.
+"""Gait analysis of foot contacts: strides, duty factors, phases, and the name of the gait.
 
 Terms and definitions follow the study of animal gaits:
 
-* Stance and swing, duty factor (the part of the stride a foot is on the ground), relative phase (the part of
-  the stride after the reference foot's touchdown at which another foot touches down): Alexander 1984, "The
-  gaits of bipedal and quadrupedal animals", Int. J. Robotics Research 3(2).
-* Symmetrical gaits, the two feet of a pair half a stride apart, named by diagonality, the part of the stride
-  by which a fore footfall follows the hind footfall of its side: 0 pace, 1/4 lateral sequence, 1/2 trot, 3/4
-  diagonal sequence; walking when the duty factor is above 1/2: Hildebrand 1965, "Symmetrical gaits of
+* Stance and swing, duty factor (fraction of the stride in which a foot is on the ground), relative phase (fraction
+  of the stride between the touchdowns of the reference foot and another foot): Alexander 1984, "The gaits of bipedal
+  and quadrupedal animals", Int. J. Robotics Research 3(2).
+* Symmetrical gaits, in which the two feet of a pair are half a stride apart. They are named by diagonality, the
+  fraction of the stride by which a fore footfall follows the hind footfall on its side: 0 pace, 1/4 lateral sequence,
+  1/2 trot, 3/4 diagonal sequence; walking if the duty factor is above 1/2: Hildebrand 1965, "Symmetrical gaits of
   horses", Science 150.
-* Asymmetrical gaits: bound (both fore together, both hind together), half-bound (hind together, fore apart),
-  gallop (both pairs a little apart; transverse when fore and hind lead with the same side, rotary when not),
-  pronk (all four together): Hildebrand 1977, "Analysis of asymmetrical gaits", J. Mammalogy 58(2).
+* Asymmetrical gaits: bound (both fore feet together, both hind feet together), half-bound (hind feet together, fore
+  feet apart), gallop (both pairs slightly apart; transverse if fore and hind feet lead with the same side, otherwise
+  rotary), pronk (all four together): Hildebrand 1977, "Analysis of asymmetrical gaits", J. Mammalogy 58(2).
 
-Animals are sorted with limits of about 1/16 stride around each name; learned gaits scatter more, so the bins
-here are the four diagonalities with +-1/8 each, which leaves no gap between them.
+Animal gaits are classified with tolerances of about 1/16 stride. Learned gaits scatter more, so the tolerance here is
+1/8 stride around each of the four diagonalities, which leaves no gap between them.
 """
 
 from __future__ import annotations
@@ -32,35 +32,35 @@ from surefoot.task.trace import EpisodeTrace
 
 FEET = ("front_left", "back_left", "front_right", "back_right")
 
-BIN = 1 / 8  # half the width of a bin of phase
-TOGETHER = 1 / 16  # two feet of a pair closer than this strike as one
-RUNNING_DUTY = 0.6  # a gallop has duty factors below about a half; some room for compliant feet
-MIN_CONCENTRATION = 0.75  # circular scatter of about .12 stride
+PHASE_TOLERANCE = 1 / 8  # maximum distance from a gait's ideal phase [strides]
+MAX_TOGETHER_LAG = 1 / 16  # maximum lag [strides] between two feet of a pair that touch down together
+MAX_GALLOP_DUTY = 0.6  # a gallop has duty factors below about a half; the margin is for compliant feet
+MIN_CONCENTRATION = 0.75  # corresponds to a circular standard deviation of about 0.12 strides
 MIN_STRIDES = 3
-TRANSIENT = 1.0  # s at the start that are left out, never more than a third of the episode
+TRANSIENT = 1.0  # time [s] left out at the start, at most a third of the episode
 DEBOUNCE = 0.015  # s
 MIN_STRIDE_PERIOD = 0.08  # s
-STANDS = "no foot leaves the ground"
-"""Reason of a gait that is none, since the robot stands."""
+STANDING_REASON = "no foot leaves the ground"
+"""Reason for the gait "other" of a robot that only stands."""
 
 Intervals = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class Footfalls:
-    """Strides and gait of an episode; every dict is by leg name, NaN where a foot makes no steps.
+    """Strides and gait of an episode. Dictionaries are by leg name; NaN for a foot that makes no steps.
 
     Attributes:
         gait: trot, pace, bound, gallop, walk, pronk or other.
-        pattern: the gait in more words, such as "rotary gallop" or "walking trot".
-        reason: why the gait is "other"; empty when it has a name.
-        stride_period: s.
-        duty_factor: part of the stride in stance, 0 to 1.
-        phase: touchdown after front_left's, in strides, [0, 1): circular mean.
-        concentration: resultant length of those phases: 1 always the same, 0 no order.
-        stance: mean length of a stance, s.
-        intervals: (start, end) of each stance, s, transient included.
-        window: (start, end) s of what was analyzed.
+        pattern: more specific name, such as "rotary gallop" or "walking trot".
+        reason: why the gait is "other"; otherwise empty.
+        stride_period: stride period [s].
+        duty_factor: fraction of the stride in stance, 0 to 1.
+        phase: circular mean of touchdown phases relative to front_left's touchdown, in strides, [0, 1).
+        concentration: mean resultant length of these phases: 1 for constant phases, 0 for uniformly scattered ones.
+        stance: mean duration of a stance [s].
+        intervals: (start, end) of each stance [s], including the transient.
+        window: (start, end) of the analyzed time [s].
     """
 
     gait: str
@@ -76,10 +76,11 @@ class Footfalls:
 
 
 def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
-    """Measure strides and name the gait, which needs legs with the names of `FEET`, in any order.
+    """Measure strides and name the gait; names need the legs of `FEET`, in any order.
 
-    Chatter is removed in this order: single readings unlike their neighbours, losses of contact shorter than
-    `DEBOUNCE`, contacts shorter than that; then losses and contacts shorter than a tenth of the stride period.
+    Contact chatter is removed in this order: single readings that differ from their neighbours, losses of contact
+    shorter than `DEBOUNCE`, contacts shorter than `DEBOUNCE`; then losses and contacts shorter than a tenth of the
+    stride period.
     """
     touch, clock, names = trace.foot_contact, trace.time, trace.leg_names
     start = min(TRANSIENT, clock[-1] / 3.0)
@@ -90,7 +91,7 @@ def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
         return Footfalls("other", "other", reason, math.nan, nan, nan, nan, nan, dict.fromkeys(names, ()), window)
 
     step = float(np.median(np.diff(clock))) if len(clock) > 1 else float(clock[0])
-    # A running median removes single false readings and keeps edges.
+    # A running median removes single false readings and preserves edges.
     half = round(0.5 * DEBOUNCE / step)
     padded = np.pad(touch, ((half, half), (0, 0)), mode="edge")
     touch = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0), axis=-1)
@@ -102,9 +103,9 @@ def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
     debounce = max(DEBOUNCE, 0.1 * period) if math.isfinite(period) else DEBOUNCE
     stances = [stance_intervals(c, clock, debounce) for c in touch.T]
     intervals = dict(zip(names, stances, strict=True))
-    # A stance cut by the window's start or by the episode's end has no known touchdown or length.
+    # A stance that the window's start or the episode's end cuts off has no known touchdown or duration.
     touchdowns = {n: np.array([a for a, _ in s if a > start]) for n, s in intervals.items()}
-    whole = {n: [b - a for a, b in s if a > start and b < clock[-1]] for n, s in intervals.items()}
+    complete = {n: [b - a for a, b in s if a > start and b < clock[-1]] for n, s in intervals.items()}
 
     reference = touchdowns.get("front_left", np.empty(0))
     scores = {n: _phase(touchdowns[n], reference, period) for n in names}
@@ -121,19 +122,19 @@ def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
         duty_factor=duty,
         phase=phase,
         concentration=concentration,
-        stance={n: float(np.mean(lengths)) if lengths else math.nan for n, lengths in whole.items()},
+        stance={n: float(np.mean(lengths)) if lengths else math.nan for n, lengths in complete.items()},
         intervals=intervals,
         window=window,
     )
 
 
 def classify(phase: dict[str, float], duty: float) -> tuple[str, str, str]:
-    """Return gait, pattern and, when it is "other", the reason, from each foot's phase and the mean duty factor."""
+    """Return gait, pattern and, if the gait is "other", the reason, from each foot's phase and the mean duty factor."""
     lag_fore = _lag(phase["front_right"], phase["front_left"])
     lag_hind = _lag(phase["back_right"], phase["back_left"])
-    if max(abs(_lag(phase[a], phase[b])) for a in FEET for b in FEET) <= BIN:
+    if max(abs(_lag(phase[a], phase[b])) for a in FEET for b in FEET) <= PHASE_TOLERANCE:
         return "pronk", "pronk", ""
-    paired = [abs(lag) >= 0.5 - BIN for lag in (lag_fore, lag_hind)]
+    paired = [abs(lag) >= 0.5 - PHASE_TOLERANCE for lag in (lag_fore, lag_hind)]
     if all(paired):
         sides = [phase["front_left"] - phase["back_left"], phase["front_right"] - phase["back_right"]]
         return _symmetrical(_circular_mean(sides)[0], duty)
@@ -143,12 +144,12 @@ def classify(phase: dict[str, float], duty: float) -> tuple[str, str, str]:
 
     fore = _circular_mean([phase["front_left"], phase["front_right"]])[0]
     hind = _circular_mean([phase["back_left"], phase["back_right"]])[0]
-    if abs(_lag(hind, fore)) <= BIN:
+    if abs(_lag(hind, fore)) <= PHASE_TOLERANCE:
         return "other", "other", "fore and hind feet strike together, left and right feet do not"
-    fore_as_one, hind_as_one = abs(lag_fore) <= TOGETHER, abs(lag_hind) <= TOGETHER
+    fore_as_one, hind_as_one = abs(lag_fore) <= MAX_TOGETHER_LAG, abs(lag_hind) <= MAX_TOGETHER_LAG
     if fore_as_one and hind_as_one:
         return "bound", "bound", ""
-    if duty > RUNNING_DUTY:
+    if duty > MAX_GALLOP_DUTY:
         return "other", "other", f"asymmetrical, but duty factor {duty:.2f} is too long for a gallop"
     if hind_as_one:
         return "gallop", "half-bound", ""
@@ -158,10 +159,10 @@ def classify(phase: dict[str, float], duty: float) -> tuple[str, str, str]:
 
 
 def _symmetrical(diagonality: float, duty: float) -> tuple[str, str, str]:
-    """Name a symmetrical gait (Hildebrand 1965); diagonality in strides."""
+    """Name a symmetrical gait by its diagonality in strides (Hildebrand 1965); return as `classify`."""
     walking = duty > 0.5
     for name, centre in (("trot", 0.5), ("pace", 0.0)):
-        if abs(_lag(diagonality, centre)) <= BIN:
+        if abs(_lag(diagonality, centre)) <= PHASE_TOLERANCE:
             return name, f"{'walking' if walking else 'running'} {name}", ""
     pattern = f"{'lateral' if diagonality < 0.5 else 'diagonal'}-sequence {'walk' if walking else 'run'}"
     if pattern == "lateral-sequence walk":
@@ -170,19 +171,19 @@ def _symmetrical(diagonality: float, duty: float) -> tuple[str, str, str]:
 
 
 def stance_intervals(contact: ArrayLike, time: ArrayLike, debounce: float = 0.0) -> Intervals:
-    """Return (start, end) in s of each stance of one foot.
+    """Return (start, end) of each stance of one foot [s].
 
     Args:
-        contact: (T,) fraction of each control step in contact; the foot is in stance where it is at least .5.
-        time: (T,) s at the END of each control step.
-        debounce: s; gaps shorter than this are closed, then stances shorter than this dropped.
+        contact: fraction of each control step in contact (T,); the foot is in stance from 0.5 on.
+        time: time at the END of each control step (T,) [s].
+        debounce: gaps shorter than this [s] are closed, then stances shorter than this are dropped.
     """
     touch, clock = np.asarray(contact, dtype=np.float64), np.asarray(time, dtype=np.float64)
     step = np.diff(clock, prepend=2 * clock[0] - clock[1] if len(clock) > 1 else 0.0)
     edges = np.flatnonzero(np.diff(touch >= 0.5, prepend=False, append=False))
     spans: list[tuple[float, float]] = []
     for a, b in zip(edges[::2], edges[1::2], strict=True):
-        # Fractions of contact at both edges place touchdown and lift-off within those steps.
+        # The contact fractions of the steps at both edges give touchdown and lift-off within these steps.
         lead = touch[a - 1] * step[a - 1] if a > 0 else 0.0
         trail = touch[b] * step[b] if b < len(clock) else 0.0
         begin = clock[a] - touch[a] * step[a] - lead
@@ -196,19 +197,19 @@ def stance_intervals(contact: ArrayLike, time: ArrayLike, debounce: float = 0.0)
 
 
 def stride_period(contact: Array, step: float) -> float:
-    """Return the stride period in s, or NaN: the first high peak of the contacts' autocorrelation.
+    """Return the stride period [s], the first high peak of the contacts' autocorrelation; NaN without a peak.
 
-    Each foot is correlated with itself alone, so two feet half a stride apart do not halve the period.
+    Each foot is correlated only with itself, so two feet half a stride apart do not halve the period.
 
     Args:
-        contact: (T, L) contacts, 0 to 1.
-        step: s between samples.
+        contact: contacts (T, L), 0 to 1.
+        step: time between samples [s].
     """
     signal = contact - contact.mean(axis=0)
     count = len(signal)
     spectrum = np.fft.rfft(signal, n=2 * count, axis=0)
     raw = np.fft.irfft(np.abs(spectrum) ** 2, axis=0).sum(axis=1)[:count]
-    longest = count // 2  # at least two strides must be seen
+    longest = count // 2  # the signal must contain at least two strides
     if raw[0] < 1e-9 or longest < 4:
         return math.nan
     correlation = raw[:longest] / (count - np.arange(longest)) * (count / raw[0])
@@ -223,7 +224,7 @@ def stride_period(contact: Array, step: float) -> float:
 
 
 def _phase(touchdowns: Array, reference: Array, period: float) -> tuple[float, float]:
-    """Return the circular mean of touchdown phases in [0, 1) and their resultant length."""
+    """Return circular mean, in [0, 1), and mean resultant length of a foot's touchdown phases."""
     phases = []
     for begin, end in itertools.pairwise(reference):
         if abs(end - begin - period) < 0.4 * period:  # else the reference foot missed or doubled a step
@@ -232,20 +233,20 @@ def _phase(touchdowns: Array, reference: Array, period: float) -> tuple[float, f
     if not phases:
         return math.nan, math.nan
     if touchdowns is reference:
-        # Against itself a foot is always at 0: its regularity is that of its stride times.
+        # The reference foot's own phase is always 0: the regularity of its stride times counts instead.
         strides = np.diff(reference) / period
         return 0.0, _circular_mean(strides)[1]
     return _circular_mean(phases)
 
 
 def _circular_mean(phases: ArrayLike) -> tuple[float, float]:
-    """Return mean in [0, 1) and resultant length of phases given in strides."""
+    """Return circular mean, in [0, 1), and mean resultant length of phases in strides."""
     vector = np.exp(2j * np.pi * np.asarray(phases, dtype=np.float64)).mean()
     return circular_phase(vector), float(np.abs(vector))
 
 
 def circular_phase(vector: complex) -> float:
-    """Return the direction of a vector in the complex plane as a phase in [0, 1); what rounds to 1 is 0."""
+    """Return the argument of a complex number as a phase in [0, 1); phases that round to 1 become 0."""
     phase = float(np.angle(vector) / (2 * np.pi)) % 1.0
     return 0.0 if phase > 1.0 - 1e-9 else phase
 
@@ -256,7 +257,7 @@ def _lag(phase: float, reference: float = 0.0) -> float:
 
 
 def _duty(intervals: Intervals, touchdowns: Array, window: tuple[float, float]) -> float:
-    """Return the part of whole strides (touchdown to touchdown) in stance; of the window without strides."""
+    """Return the fraction of complete strides (touchdown to touchdown) in stance; of the window without strides."""
     begin, end = (touchdowns[0], touchdowns[-1]) if len(touchdowns) > 1 else window
     stance = sum(max(0.0, min(b, end) - max(a, begin)) for a, b in intervals)
     return float(stance / (end - begin))
@@ -270,13 +271,13 @@ def _irregularity(
     window: tuple[float, float],
     concentration: dict[str, float],
 ) -> str:
-    """Return why these footfalls cannot be named, or an empty string."""
+    """Return the reason that footfalls have no name, or an empty string."""
     if set(names) != set(FEET):
-        return f"gaits are named for the feet {choices(FEET)}"
+        return f"gaits have names only for robots with the feet {choices(FEET)}"
     idle = [name for name in names if not len(touchdowns[name])]
     down = [name for name in idle if any(a <= window[0] and b >= window[1] for a, b in intervals[name])]
     if len(down) == len(names):
-        return STANDS
+        return STANDING_REASON
     parts = (
         f"{' and '.join(feet)} never {verb if len(feet) > 1 else one}"
         for feet, verb, one in (

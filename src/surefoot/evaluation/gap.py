@@ -1,12 +1,12 @@
-"""The reality gap as a number: what a policy's return loses in another world than the one that it was trained in.
+"""Reality gap: loss of a policy's return in another world than the one in which it was trained.
 
-Koos et al. (2010, "Crossing the reality gap in evolutionary robotics by promoting transferable controllers") measure
-it by the difference between the expected return in simulation and on the robot, and Tan et al. 2018, section VI-B, do
-so with a few runs of a few policies. Here a run is a trace of a simulation or of a robot.
+Koos et al. (2010, "Crossing the reality gap in evolutionary robotics by promoting transferable controllers") define
+it as the difference between the expected return in simulation and on the robot. Tan et al. 2018, section VI-B,
+measure it with a few runs of a few policies. Here a run is a trace of a simulation or of a robot.
 
-The paper takes the three best policies of a group to the robot, runs each three times, and gives the mean of the nine
-runs with one standard error. Runs of one policy, and runs on one robot, are not independent. So intervals over
-policies and robots stand beside it: run k of every policy away is on robot k.
+The paper runs the three best policies of a group three times each on the robot, and gives the mean of the nine runs
+with one standard error. Runs of one policy, and runs on one robot, are not independent. The tables therefore also give
+intervals over policies and robots: in the target world, run k of every policy is on robot k.
 """
 
 from __future__ import annotations
@@ -26,32 +26,32 @@ from surefoot.tables import with_unit
 
 @dataclass(frozen=True)
 class PolicyGap:
-    """Runs of one policy, or of several pooled, in the world of its training (home) and in others (away)."""
+    """Runs of one policy, or of several pooled, in the training world ("home") and in target worlds ("away")."""
 
     name: str
     runs: pd.DataFrame
-    """A row a run: the policy, then the columns of `measure_runs`; runs at home come first."""
+    """One row per run: the policy, then the columns of `measure_runs`; runs in the training world come first."""
 
     @classmethod
     def from_runs(cls, name: str, worlds: Sequence[pd.DataFrame]) -> PolicyGap:
-        """Return the gap of one policy from its runs in each world, home first."""
+        """Return the gap of one policy from its runs in each world, the training world first."""
         runs = pd.concat(worlds, ignore_index=True)
         runs.insert(0, "policy", name)
         return cls(name, runs)
 
     @classmethod
     def pooled(cls, name: str, policies: Sequence[PolicyGap]) -> PolicyGap:
-        """Pool policies that ran in the same worlds: the paper averages nine runs of three policies."""
+        """Pool policies that ran in the same worlds; the paper averages nine runs of three policies."""
         return cls(name, pd.concat([policy.runs for policy in policies], ignore_index=True))
 
     @property
     def worlds(self) -> tuple[str, ...]:
-        """Names of the worlds, home first."""
+        """Names of the worlds, the training world first."""
         return tuple(self.runs.world.unique())
 
     @property
     def home(self) -> pd.DataFrame:
-        """Runs at home."""
+        """Runs in the training world."""
         return self.in_world(self.worlds[0])
 
     def in_world(self, world: str) -> pd.DataFrame:
@@ -59,14 +59,14 @@ class PolicyGap:
         return self.runs[self.runs.world == world]
 
     def split(self) -> list[PolicyGap]:
-        """Return the policies that are pooled here, one by one."""
+        """Return the pooled policies one by one."""
         return [PolicyGap(str(name), runs) for name, runs in self.runs.groupby("policy", sort=False)]
 
     def gap(self, world: str) -> MeanEstimate:
-        """Return return at home less return away [m]; above zero where the policy does worse away.
+        """Return the reality gap [m]: return in the training world minus return in `world`.
 
-        For several policies it is the mean of their gaps with its standard error over policies. An error over all
-        runs would contain how far gallops differ from trots at home.
+        For several policies it is the mean of their gaps with the standard error over policies. A standard error over
+        all runs would include the differences between the policies in the training world, such as gallop and trot.
         """
         policies = self.split()
         if len(policies) == 1:
@@ -79,16 +79,19 @@ class PolicyGap:
         return home - away
 
     def table(self, world: str, column: str) -> Array:
-        """Return a column of the runs in a world as a table (policies, runs)."""
+        """Return a column of the runs in a world as an array (policies, runs)."""
         return np.array([one.in_world(world)[column] for one in self.split()], np.float64)
 
     def gaps(self, world: str) -> Array:
-        """Return each policy's mean return at home less its return in each run away [m], (policies, runs)."""
+        """Return each policy's mean return in the training world minus its return in each run in `world` [m].
+
+        The shape is (policies, runs).
+        """
         home = self.table(self.worlds[0], "return").mean(axis=1, keepdims=True)
         return home - self.table(world, "return")
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return a row for each world, home first, with means and errors of its runs and the gap."""
+        """Return one row per world, the training world first: means and standard errors of its runs, and the gap."""
         rows = []
         for number, world in enumerate(self.worlds):
             gap, side = (self.gap(world), "away") if number else (MeanEstimate(), "home")
@@ -97,10 +100,10 @@ class PolicyGap:
         return rows
 
 
-def gap_text(row: Mapping[str, Any], is_home: bool, sign: bool = False, unit: str = "m") -> dict[str, str]:
-    """Return cells of text on a row with the columns of `summarize_runs`, gap and gap_error: means with one error.
+def gap_cells(row: Mapping[str, Any], is_home: bool, sign: bool = False, unit: str = "m") -> dict[str, str]:
+    """Return a row as text, each mean with one standard error; `unit` is the unit of returns.
 
-    `unit` is that of returns.
+    The row has the columns of `summarize_runs`, and gap and gap_error.
     """
 
     def mean(name: str, digits: int = 2) -> str:

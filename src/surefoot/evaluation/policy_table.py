@@ -1,4 +1,4 @@
-"""Policies that follow commands, side by side: same commands, same robots, under the same conditions."""
+"""Comparison of policies that follow commands: same commands and same robots, under several conditions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pandas as pd
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import Condition
-from surefoot.evaluation.runs import following, summarize_load
+from surefoot.evaluation.runs import command_metrics, summarize_load
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.robot.randomization import Ranges
@@ -21,63 +21,65 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.pushes import PushConfig
 from surefoot.task.trace import EpisodeTrace
 
-PUSH = (0.5, 0.8)
-"""Least and greatest push [weights of the robot]."""
-LATENCY = 0.020
-"""Age of the readings [s] under the condition of that name."""
-STIFFNESS = 3.0
-"""Stiffness of the feet over the nominal one, under the condition of that name."""
+PUSH_FORCE_RANGE = (0.5, 0.8)
+"""Minimum and maximum force of a push, in multiples of the robot's weight."""
+READING_LATENCY = 0.020
+"""Age of the readings [s] in the condition "latency"."""
+FOOT_STIFFNESS_RATIO = 3.0
+"""Ratio of foot stiffness to the nominal one in the condition "feet"."""
 
 
 def comparison_conditions(robot: RobotDescription, table1: Ranges, duration: float) -> dict[str, Condition]:
-    """Return the conditions by name: a nominal robot in both worlds, and one thing that differs in each of the others.
+    """Return the conditions by name: a nominal robot in both engines, then one difference at a time.
 
     Args:
-        robot: the policies'.
+        robot: the policies' robot.
         table1: ranges of the paper's table I.
         duration: length of an episode [s].
     """
-    pushes = PushConfig(enabled=True, relative=True, force=PUSH, direction="horizontal")
-    pushed = f"pushed by {PUSH[0]:g} to {PUSH[1]:g} of its weight for 60 ms, each 1.2 s"
+    pushes = PushConfig(enabled=True, relative=True, force=PUSH_FORCE_RANGE, direction="horizontal")
+    pushed = f"pushed by {PUSH_FORCE_RANGE[0]:g} to {PUSH_FORCE_RANGE[1]:g} of its weight for 60 ms, each 1.2 s"
     conditions = [
         Condition("nominal", "nominal robot"),
         Condition("bullet", "nominal robot in the other engine", "bullet"),
-        Condition("table1", "robots of table I", randomize=table1),
+        Condition("table1", "randomized robots (the paper's table I)", randomize=table1),
         Condition("pushes", pushed, pushes=pushes),
-        Condition("latency", f"readings {1e3 * LATENCY:g} ms old", params={"control_latency": LATENCY}),
+        Condition("latency", f"readings {1e3 * READING_LATENCY:g} ms old", params={"control_latency": READING_LATENCY}),
         Condition(
             "feet",
-            f"feet {STIFFNESS:g} times as stiff",
-            params={"contact_stiffness": STIFFNESS * robot.contact.stiffness},
+            f"feet {FOOT_STIFFNESS_RATIO:g} times as stiff",
+            params={"contact_stiffness": FOOT_STIFFNESS_RATIO * robot.contact.stiffness},
         ),
     ]
     return {one.name: replace(one, terrain=None, duration=duration, curricula=True) for one in conditions}
 
 
 def common_commands(limits: Sequence[CommandLimits | None], names: Sequence[str]) -> CommandConfig:
-    """Return how commands are drawn, within what every policy follows.
+    """Return the ranges of random commands that all policies support.
 
     Raises:
-        SurefootError: a policy that follows none.
+        SurefootError: a policy does not follow commands.
     """
     for one, name in zip(limits, names, strict=True):
         if one is None:
             raise SurefootError(f"policy '{name}' follows no commands; policies that are compared must")
     followed = [one for one in limits if one is not None]
     low, high = np.max([one.low for one in followed], axis=0), np.min([one.high for one in followed], axis=0)
-    ranges = {name: (float(least), float(most)) for name, least, most in zip(COMMANDS, low, high, strict=True)}
+    ranges = {
+        name: (float(minimum), float(maximum)) for name, minimum, maximum in zip(COMMANDS, low, high, strict=True)
+    }
     return CommandConfig(**ranges)  # type: ignore[arg-type]
 
 
 def with_commands(task: TaskConfig, commands: CommandConfig) -> TaskConfig:
-    """Return a policy's task with the commands of all others, which the gait follows as the policy has learned."""
+    """Return a policy's task with common commands; acceleration limits and heading control stay the policy's own."""
     own = task.commands
     return replace(task, commands=replace(commands, acceleration=own.acceleration, heading_gain=own.heading_gain))
 
 
 def measure(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, Any]:
-    """Return the measures of a policy under a condition from its episodes, see `COLUMNS`; `weight` [N] of the robot."""
-    followed = following(traces)
+    """Return the metrics of a policy in a condition from its episodes, see `COLUMNS`; `weight` of the robot [N]."""
+    followed = command_metrics(traces)
     errors = {f"{kind}_{name}": value for kind in ("rmse", "rmse_stride") for name, value in followed[kind].items()}
     return {
         "episodes": len(traces),
@@ -96,17 +98,17 @@ COLUMNS = {
     "power": ("power", "W"),
     "cost_of_transport": ("cost of transport", ""),
     "hottest_heat": ("hottest motor", "W"),
-    "rmse_forward": ("at once: forward", "m/s"),
-    "rmse_sideways": ("at once: sideways", "m/s"),
-    "rmse_yaw_rate": ("at once: yaw rate", "rad/s"),
+    "rmse_forward": ("instantaneous: forward", "m/s"),
+    "rmse_sideways": ("instantaneous: sideways", "m/s"),
+    "rmse_yaw_rate": ("instantaneous: yaw rate", "rad/s"),
 }
-"""Measures that are printed, with headings and units: falls; errors of following commands over strides (root mean
-square); mechanical power; energy over weight and distance along commands; mean heat of the hottest motor; errors at
-once."""
+"""Headings and units of the printed metrics: falls; stride-averaged tracking errors (root mean square); mechanical
+power; energy divided by weight and distance along commands; mean heating power of the hottest motor; instantaneous
+tracking errors."""
 
 
-def texts(table: pd.DataFrame, condition: str) -> list[dict[str, str]]:
-    """Return the rows of a condition as text, a policy in each."""
+def format_rows(table: pd.DataFrame, condition: str) -> list[dict[str, str]]:
+    """Return the rows of a condition as text, one row per policy."""
     rows = []
     for row in table[table.condition == condition].to_dict("records"):
         texts = {"policy": str(row["policy"])}

@@ -1,4 +1,4 @@
-"""Traces that a robot or a simulation recorded: read from folders, and assigned to their policies."""
+"""Recorded traces of a robot or a simulation: find them in folders, and assign them to policies."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ RecordedTraces = list[tuple[Path, EpisodeTrace]]
 
 
 def find_traces(folder: Path) -> RecordedTraces:
-    """Return the trace of a file, or all traces in a folder and the folders in it, by path; one or more.
+    """Return the trace of a file, or all traces below a folder in order of their paths; at least one.
 
-    A trace that was cut off by a crash of the control computer (.npz.partial) counts.
+    Traces that a crash of the control computer cut off (.npz.partial) are included.
     """
     if folder.is_file():
         return [(folder, _load(folder))]
@@ -27,25 +27,25 @@ def find_traces(folder: Path) -> RecordedTraces:
         raise SurefootError(f"trace folder {folder} does not exist; give a folder with traces (.npz)")
     paths = sorted(path for end in ("", SUFFIX) for path in folder.rglob(f"*.npz{end}") if path.is_file())
     if not paths:
-        raise SurefootError(f"trace folder {folder} holds no traces (.npz), nor do the folders in it")
+        raise SurefootError(f"trace folder {folder} has no traces (.npz), nor have its subfolders")
     return [(path, _load(path)) for path in paths]
 
 
 def load_robot(path: Path, trace: EpisodeTrace) -> RobotDescription:
-    """Return the robot of a trace, as `EpisodeTrace.load_robot`; errors name the trace's file."""
+    """Return the robot of a trace, see `EpisodeTrace.load_robot`; errors name the trace's file."""
     with prefix_errors(f"trace file {path}"):
         return trace.load_robot()
 
 
-def ground_of(trace: EpisodeTrace, map_file: Path | None = None) -> Ground:
-    """Return what a recorded robot stood on; the plane, where a trace does not hold it.
+def ground_for_trace(trace: EpisodeTrace, map_file: Path | None = None) -> Ground:
+    """Return the ground of a recorded run; flat ground if it is unknown.
 
     Args:
-        trace: the trace; of a map it has the name alone.
-        map_file: a map, taken if it has this name.
+        trace: the trace, which stores only a map's name.
+        map_file: map to use if it has this name.
 
     Raises:
-        SurefootError: a terrain that does not exist.
+        SurefootError: the terrain does not exist.
     """
     if map_file is not None and map_file.name == trace.meta["terrain"]:
         return _read(map_file)
@@ -57,12 +57,12 @@ _read = functools.lru_cache(maxsize=1)(read_map)
 
 @functools.lru_cache(maxsize=16)
 def _made(name: str, seed: int) -> Ground:
-    # No map is read whose file a trace names.
+    # Maps are not read by the name in a trace: traces may come from others.
     return make_terrain(name, seed) if ":" in name and not is_map(name) else FLAT
 
 
 def save_runs(folder: Path, traces: Sequence[EpisodeTrace]) -> RecordedTraces:
-    """Write traces to run_000.npz and on in a folder, in place of those that were there before."""
+    """Write traces as run_000.npz, run_001.npz, ... into a folder, and remove its earlier ones."""
     for old in folder.glob("run_*.npz"):
         old.unlink()
     return [(trace.save(folder / f"run_{i:03d}.npz"), trace) for i, trace in enumerate(traces)]
@@ -73,12 +73,12 @@ def _load(path: Path) -> EpisodeTrace:
 
 
 def assign_to_policies(recorded: RecordedTraces, policies: Sequence[str], robot: str) -> dict[str, RecordedTraces]:
-    """Return the traces of each policy, one or more, by the names in the traces.
+    """Return the traces of each policy, at least one each, by the policy names in the traces.
 
-    A trace without a name belongs to the policy if there is only one.
+    If there is only one policy, traces without a name belong to it.
 
     Raises:
-        SurefootError: a trace of another robot or policy, or a policy without a trace.
+        SurefootError: a trace is of another robot or policy, or a policy has no trace.
     """
     assigned: dict[str, RecordedTraces] = {name: [] for name in policies}
     for path, trace in recorded:
@@ -93,5 +93,5 @@ def assign_to_policies(recorded: RecordedTraces, policies: Sequence[str], robot:
         assigned[name].append((path, trace))
     for name, traces in assigned.items():
         if not traces:
-            raise SurefootError(f"no trace beside {recorded[0][0]} is of policy '{name}'; each policy needs 1 or more")
+            raise SurefootError(f"policy '{name}' has no trace next to {recorded[0][0]}; each policy needs 1 or more")
     return assigned

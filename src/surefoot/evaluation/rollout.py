@@ -1,4 +1,4 @@
-"""Run a policy in a simulation: measure every episode, and record traces."""
+"""Rollouts of a policy in simulation: metrics of every episode, and recorded traces."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from surefoot.evaluation.runs import episode_metrics
 from surefoot.robot.params_file import param_values
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.partial_trace import TraceHead, row_layout
+from surefoot.task.partial_trace import TraceHeader, row_layout
 from surefoot.task.trace import EpisodeTrace, run_meta, trace_sizes
 from surefoot.world.interface import SimulationFactory
 
 Progress = Callable[[float], None]
-"""Called after every control step with the share of all control steps that is done, 0 to 1."""
+"""Called after every control step with the completed fraction of all control steps, 0 to 1."""
 
 
 class Controller(Protocol):
@@ -40,20 +40,21 @@ def run_to_end(
     progress: Progress | None = None,
     record: Callable[[Array, NDArray[np.float32]], object] | None = None,
 ) -> pd.DataFrame:
-    """Run every robot of an environment to its own end: a fall, or its number of control steps.
+    """Run one episode of every robot in an environment, to a fall or its number of control steps.
 
-    A robot whose simulation diverged is measured a control step before that; it neither fell nor balanced.
+    If a simulation diverges, the robot's metrics end one control step earlier, and it counts neither as fallen nor as
+    balanced.
 
     Args:
-        act: returns actions (N, A) for observations (N, O * history), which are zero for robots that are over.
-        env: without autoreset, just reset.
-        observation: the first one.
-        steps: control steps of each robot (N,), 0 for one that does not run; the task's `max_steps`, if not given.
-        progress: called with the share of the control steps that is done.
+        act: returns actions (N, A) for observations (N, O * history), which are zero for finished robots.
+        env: an environment without autoreset, after its reset.
+        observation: observation of the reset.
+        steps: control steps of each robot (N,), 0 for a robot that does not run; defaults to the task's `max_steps`.
+        progress: called with the completed fraction of the control steps.
         record: called after every control step with time [s] (N,) and observation (N, O * history) at its start.
 
     Returns:
-        a row a robot with the columns of `episode_metrics`.
+        One row per robot with the columns of `episode_metrics`.
     """
     limit = np.full(env.num_envs, env.task.max_steps) if steps is None else steps
     env.state.over |= limit == 0
@@ -61,16 +62,16 @@ def run_to_end(
     time, energy = np.zeros((2, env.num_envs))
     position = env.state.start_position[:, 0].copy()
     while not env.state.over.all():
-        going = ~env.state.over
-        start, seen = env.state.readings.time, np.where(going[:, None], observation, np.float32(0.0))
-        observation, _, ended, _, _ = env.step(act(seen))
+        active = ~env.state.over
+        start, masked = env.state.readings.time, np.where(active[:, None], observation, np.float32(0.0))
+        observation, _, ended, _, _ = env.step(act(masked))
         if record is not None:
-            record(start, seen)
-        sound = going & ~env.state.truth.diverged
-        position[sound], time[sound] = env.state.truth.base_position_world[sound, 0], env.state.readings.time[sound]
-        energy[sound] += env.state.truth.energy[sound]
+            record(start, masked)
+        valid = active & ~env.state.truth.diverged
+        position[valid], time[valid] = env.state.truth.base_position_world[valid, 0], env.state.readings.time[valid]
+        energy[valid] += env.state.truth.energy[valid]
         terminated |= ended
-        diverged |= going & ~sound
+        diverged |= active & ~valid
         env.state.over |= env.state.steps >= limit
         if progress is not None:
             progress(float(np.where(env.state.over, limit, env.state.steps).sum() / limit.sum()))
@@ -85,15 +86,20 @@ def run_to_end(
 
 
 class EpisodeRecorder:
-    """Records every control step of all robots of an environment from now on; `pushed`: forces of pushes too."""
+    """Recorder of all robots of an environment from the current control step on.
+
+    Args:
+        env: the environment.
+        pushed: whether to record push forces; otherwise they are NaN.
+    """
 
     def __init__(self, env: LocomotionEnv, pushed: bool) -> None:
         self.env, self._pushed, self._started = env, pushed, env.state.readings.time.copy()
         sizes = trace_sizes(0, env.state.feedback.shape, self._meta(0))
-        # A simulation has the ground itself.
+        # Traces of a simulation need no height map: they name the terrain.
         self.layout = row_layout(tuple(name for name in columns_of(EpisodeTrace) if name != "height_map"), sizes)
         self.rows: list[Array] = []
-        """Rows (N, width) of the control steps."""
+        """One array (N, width) per control step."""
         self._start = {name: values.copy() for name, values in self._base().items()}
         self._command = self._newest_command()
 
@@ -106,9 +112,9 @@ class EpisodeRecorder:
         return command.copy() if has_commands else np.full_like(command, np.nan)
 
     def record(self, time: Array, observation: NDArray[np.float32]) -> Array:
-        """Record the control step that just ended; return its rows (N, width).
+        """Record the last control step, and return its rows (N, width).
 
-        `time` (N,) [s] and `observation` are of its start.
+        `time` (N,) [s] and `observation` are the ones at its start.
         """
         env, state = self.env, self.env.state
         readings, truth = state.readings, state.truth
@@ -139,13 +145,13 @@ class EpisodeRecorder:
         self._command = self._newest_command()
         return rows
 
-    def head(self, robot: int, meta: dict[str, Any]) -> TraceHead:
-        """Return what makes a trace of a robot's rows, with further entries of its meta."""
+    def head(self, robot: int, meta: dict[str, Any]) -> TraceHeader:
+        """Return the header of a robot's trace, with additional metadata."""
         start = {name: values[robot] for name, values in self._start.items()}
-        return TraceHead(self.layout, self._meta(robot) | meta, start, self.env.robot.archive)
+        return TraceHeader(self.layout, self._meta(robot) | meta, start, self.env.robot.archive)
 
     def trace(self, robot: int, steps: int, meta: dict[str, Any]) -> EpisodeTrace:
-        """Return the trace of a robot's first control steps, with further entries of its meta."""
+        """Return the trace of a robot's first `steps` control steps, with additional metadata."""
         if steps < 1:
             raise SurefootError("the simulation diverged in the first control step; no episode can be recorded")
         return self.head(robot, meta).trace(np.array([step[robot] for step in self.rows[:steps]]), {})
@@ -179,20 +185,20 @@ def run_episodes(
     world_name: str = "mujoco",
     policy_name: str = "",
 ) -> list[EpisodeTrace]:
-    """Run episodes side by side and record each to its own end: a fall, or `task.max_steps` control steps.
+    """Run episodes in parallel and record each to a fall or `task.max_steps` control steps.
 
-    An episode in which the simulation diverged ends as a fault, one control step before.
+    An episode in which the simulation diverges ends as a fault, one control step earlier.
 
     Args:
-        policy: gives the feedback.
-        task: what is run; its physical parameters and pushes hold.
-        episodes: how many.
-        make_world: makes the simulation.
-        seed: the one seed; episode i is the same in any number of episodes.
-        threads: threads of the simulation; 0 means one a core.
-        progress: called with the share of the control steps that is done.
-        world_name: for the traces.
-        policy_name: for the traces.
+        policy: computes the feedback.
+        task: the task, including its physical parameters and pushes.
+        episodes: number of episodes.
+        make_world: creates the simulation.
+        seed: seed of all random numbers; episode i does not depend on the number of episodes.
+        threads: threads of the simulation; 0 means one per core.
+        progress: called with the completed fraction of the control steps.
+        world_name: name of the world in the traces.
+        policy_name: name of the policy in the traces.
     """
     env = LocomotionEnv(task, episodes, make_world, seed, autoreset=False, threads=threads)
     observation, _ = env.reset()

@@ -1,6 +1,6 @@
-"""Runs of a policy as a table with a row for each episode, and the summary of an evaluation.
+"""Runs of a policy as a table with one row per episode, and the summary of an evaluation.
 
-Evaluation, reality gap, sensitivity and studies share these columns, for runs of a simulation and recorded traces.
+Evaluation, reality gap, sensitivity and studies share these columns, for simulated and recorded runs.
 """
 
 from __future__ import annotations
@@ -16,46 +16,47 @@ from numpy.typing import ArrayLike
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls, circular_phase
 from surefoot.evaluation.statistics import MeanEstimate
-from surefoot.evaluation.tracking import Tracking, distance_along, kept_up
+from surefoot.evaluation.tracking import Tracking, distance_along, is_successful
 from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
 
-SATURATION = 0.25
-"""Share of time at its limit from which a motor is said to limit a gait. A trotting leg stands for half of the time, so
-this is half of every stance; trots that have enough torque stay below .04."""
+MIN_LIMITING_SATURATION = 0.25
+"""Fraction of time at its limit from which a motor counts as limiting a gait. A trotting leg is in stance for half of
+the time, so this is half of every stance; trots with enough torque stay below 0.04."""
 
 
 def episode_metrics(
     returns: ArrayLike, distance: ArrayLike, duration: ArrayLike, energy: ArrayLike, steps: ArrayLike, ended: ArrayLike
 ) -> pd.DataFrame:
-    """Return the metrics that every episode has, a row each, from what it adds up to, in SI units (N,).
+    """Return the metrics of episodes, one row each, from their totals in SI units (N,).
 
     The return is the sum of the task's own reward, as in training. The paper's reward r = (p_n - p_{n-1}) . d -
-    w dt |tau . qdot| with d = world x sums to distance less w times the energy, so a robot's trace has it too.
+    w dt |tau . qdot| with d = world x sums to the distance minus w times the energy, so that traces of a real robot
+    also have a return.
 
     Returns:
-        columns return, distance forward [m], mean speed [m/s] and mechanical power [W], control steps, whether it fell,
-        and whether it kept its balance to the end, which is what the paper counts as a success.
+        Columns return, distance forward [m], mean speed [m/s] and mechanical power [W], control steps, whether the
+        robot fell, and whether it kept its balance to the end, which the paper counts as a success.
     """
-    way, time, outcome = np.asarray(distance, np.float64), np.asarray(duration, np.float64), np.asarray(ended)
-    rates = {"return": returns, "distance": way, "speed": way / time, "power": np.asarray(energy, np.float64) / time}
+    path, time, outcome = np.asarray(distance, np.float64), np.asarray(duration, np.float64), np.asarray(ended)
+    rates = {"return": returns, "distance": path, "speed": path / time, "power": np.asarray(energy, np.float64) / time}
     return pd.DataFrame({**rates, "steps": steps, "fell": outcome == "fall", "balanced": outcome == "time"})
 
 
 def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd.DataFrame:
-    """Measure one run or more in one world.
+    """Return the metrics of one or more runs in one world.
 
     Args:
         traces: the runs.
-        world: name of the world; that of the traces, if not given.
+        world: name of the world; defaults to the name in the traces.
 
     Returns:
-        a row a run with columns world, run, those of `episode_metrics`, and the share of time for which the worst motor
-        was at its limit. NaN for what was not measured.
+        One row per run: world, run, the columns of `episode_metrics`, and saturation, the fraction of time for which
+        the worst motor was at its limit. NaN for quantities that were not measured.
 
     Raises:
-        SurefootError: traces of several worlds.
+        SurefootError: the traces are from several worlds.
     """
     runs = list(traces)
     name = common_value(runs, "world") if world is None else world
@@ -74,7 +75,7 @@ def measure_runs(traces: Iterable[EpisodeTrace], world: str | None = None) -> pd
 
 
 def _distance(trace: EpisodeTrace) -> float:
-    """Return how far a run went along the world's x axis [m]."""
+    """Return the distance that a run covered along the world's x axis [m]."""
     return float(trace.base_position_world[-1, 0] - trace.base_position_world[0, 0])
 
 
@@ -84,7 +85,7 @@ def _energy(trace: EpisodeTrace) -> float:
 
 
 def _return(trace: EpisodeTrace, distance: float, energy: float) -> float:
-    """Return the sum of the task's reward over a run; NaN where it was not recorded and does not follow."""
+    """Return the sum of the task's reward over a run; NaN if it was neither recorded nor follows from the trace."""
     if (weight := trace.meta["energy_weight"]) is None:
         return float(trace.reward.sum())
     if (limit := trace.meta["progress_limit"]) is not None:
@@ -94,7 +95,11 @@ def _return(trace: EpisodeTrace, distance: float, energy: float) -> float:
 
 
 def common_value(traces: Sequence[EpisodeTrace], name: str) -> str:
-    """Return the `world` or `policy` of all traces; refuse several, whose runs must not be averaged."""
+    """Return the `world` or `policy` of all traces.
+
+    Raises:
+        SurefootError: the traces have different ones, and must not be averaged.
+    """
     values = sorted({str(trace.meta[name]) for trace in traces})
     if len(values) > 1:
         raise SurefootError(f"the traces come from more than one {name}: {choices(values)}; measure one at a time")
@@ -102,7 +107,7 @@ def common_value(traces: Sequence[EpisodeTrace], name: str) -> str:
 
 
 def summarize_runs(runs: pd.DataFrame) -> dict[str, Any]:
-    """Return the row of runs in a table of worlds: means with standard errors, falls and successes."""
+    """Return the summary of runs in one world: means with standard errors, falls and success rate."""
     row: dict[str, Any] = {"world": runs.world.iloc[0], "runs": len(runs)}
     for name in ("return", "distance", "speed", "power", "steps"):
         estimate = MeanEstimate.from_values(runs[name])
@@ -111,21 +116,21 @@ def summarize_runs(runs: pd.DataFrame) -> dict[str, Any]:
 
 
 def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, Any]:
-    """Sum up one episode or more of one policy in one world, by a robot of `total_mass` [kg].
+    """Summarize one or more episodes of one policy in one world, on a robot of `total_mass` [kg].
 
-    Means leave out episodes in which the number is NaN; standard deviations are with n - 1. The gait is the
-    commonest one, and phases, duty factors and stances come from its episodes.
+    Means leave out episodes in which the value is NaN; standard deviations divide by n - 1. The gait is the most
+    frequent one; phases, duty factors and stances are means over its episodes.
 
     Returns:
-        a dict that JSON can hold (None for NaN): episodes, falls, steps_mean, distance_mean (m), speed_mean and
-        speed_std (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side), cost_of_transport_mean
-        (energy over weight times distance, where that is over 0: along the commands, if there are any), with commands
-        what `following` returns, gait and why it is "other" (gait_reason), hottest_motor and its mean hottest_heat (W),
-        and by leg name duty_factor, phases (strides after front_left) and stance
-        (s), by motor name saturation (share of time at the motor's limit), world, policy.
+        A dictionary for JSON (None for NaN): episodes, falls, steps_mean, distance_mean (m), speed_mean and speed_std
+        (m/s), power_mean (W), return_mean, return_std, drift_mean (m to either side), cost_of_transport_mean (energy
+        divided by weight and distance, if the distance is positive; along the commands, if there are any), with
+        commands the result of `command_metrics`, gait and why it is "other" (gait_reason), hottest_motor and its mean
+        hottest_heat (W), by leg name duty_factor, phases (strides after front_left) and stance (s), by motor name
+        saturation (fraction of time at the motor's limit), world, policy.
 
     Raises:
-        SurefootError: episodes of several worlds or policies.
+        SurefootError: the episodes are of several worlds or policies.
     """
     runs, policy = measure_runs(traces), common_value(traces, "policy")
     feet = [analyze_footfalls(trace) for trace in traces]
@@ -153,27 +158,30 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
         **_hottest(traces),
         "world": runs.world.iloc[0],
         "policy": policy,
-        **following(traces),
+        **command_metrics(traces),
     }
 
 
-def following(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
+def command_metrics(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
     """Return how well episodes follow their commands: `rmse` and `rmse_stride` by command, see `Tracking`, and success.
 
-    Success is the share of episodes that have kept up. Empty without commands.
+    Success is the fraction of successful episodes, see `is_successful`. Empty without commands.
     """
     commanded = [trace for trace in traces if is_commanded(trace)]
     if not commanded:
         return {}
-    return {**Tracking.from_traces(commanded).to_mapping(), "success": _mean([kept_up(trace) for trace in commanded])}
+    return {
+        **Tracking.from_traces(commanded).to_mapping(),
+        "success": _mean([is_successful(trace) for trace in commanded]),
+    }
 
 
 def summarize_load(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, Any]:
-    """Return what episodes of a robot of a weight [N] ask of its motors, over all of their time together.
+    """Return the motor load in episodes of a robot with a weight [N], averaged over their total time.
 
     Returns:
-        mechanical power [W]; cost_of_transport, as in `summarize`, NaN where the distance is not over 0; name and mean
-        heat [W] of the hottest_motor.
+        Mechanical power [W]; cost_of_transport as in `summarize`, NaN unless the distance is positive; hottest_motor
+        and its mean heating power hottest_heat [W].
     """
     time = sum(trace.duration for trace in traces)
     return {
@@ -184,7 +192,7 @@ def summarize_load(traces: Sequence[EpisodeTrace], weight: float) -> dict[str, A
 
 
 def _hottest(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
-    """Return the motor with the highest mean heat [W] and that heat; None where it was not measured."""
+    """Return the motor with the highest mean heating power, and this power [W]; None if it was not measured."""
     time = sum(trace.duration for trace in traces)
     heat = np.sum([trace.motor_heat.sum(axis=0) for trace in traces], axis=0)
     hottest = int(heat.argmax())
@@ -195,28 +203,28 @@ def _hottest(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
 
 
 def is_commanded(trace: EpisodeTrace) -> bool:
-    """Return whether the robot was given commands."""
+    """Return whether the robot received commands."""
     return bool(np.isfinite(trace.command).any())
 
 
 def _cost_of_transport(traces: Sequence[EpisodeTrace], weight: float) -> float:
-    """Return the energy of runs over weight [N] times distance; NaN where that is not over 0."""
+    """Return the energy of runs divided by weight [N] and distance; NaN unless the distance is positive."""
     distance = sum(distance_along(trace) if is_commanded(trace) else _distance(trace) for trace in traces)
     return sum(map(_energy, traces)) / (weight * distance) if distance > 0 else np.nan
 
 
 def _mean(values: ArrayLike) -> object:
-    """Return the mean of numbers, NaN left out; None without any."""
+    """Return the mean of values without NaN; None if there are none."""
     return plain_value(float(pd.Series(values, dtype=np.float64).mean()))
 
 
 def _by_leg(feet: Sequence[Footfalls], name: str) -> dict[str, object]:
-    """Return the mean over episodes of a number that each leg has."""
+    """Return the mean over episodes of a leg's quantity, by leg."""
     return {leg: _mean([getattr(one, name)[leg] for one in feet]) for leg in getattr(feet[0], name)}
 
 
 def _phases(feet: Sequence[Footfalls]) -> dict[str, float | None]:
-    """Return each leg's circular mean phase over episodes, each weighted by its concentration."""
+    """Return each leg's circular mean phase over episodes, weighted by concentration."""
     phases: dict[str, float | None] = {}
     for leg in feet[0].phase:
         vectors = np.array([one.concentration[leg] * np.exp(2j * np.pi * one.phase[leg]) for one in feet])

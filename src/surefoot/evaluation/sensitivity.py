@@ -1,8 +1,8 @@
-"""Sensitivity of a policy to physical parameters: it runs in worlds in which one of them is not nominal.
+"""Sensitivity of a policy to physical parameters: runs in test worlds in which one parameter is not nominal.
 
-After Tan et al. 2018, section VI-B: each parameter of table I takes evenly spaced values within its range, while all
-others stay nominal, and the mean and standard deviation of the return over all these test worlds measure how robust a
-policy is.
+After Tan et al. 2018, section VI-B: each parameter of table I takes evenly spaced values within its range while all
+others stay nominal. Mean and standard deviation of the return over all these test worlds measure a policy's
+robustness.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from surefoot.task.pushes import Pusher
 from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 
 TestWorlds = Sequence[tuple[str, float, tuple[float, ...]]]
-"""Test worlds: a parameter, or `push_force`, its value, or mean value, and its values for each motor or axis."""
+"""Test worlds: name of the parameter or `push_force`, its (mean) value, and its values for each motor or axis."""
 PUSH_FORCE = "push_force"
-"""Row of the force of pushes [N]."""
+"""Name of the row that varies the force of pushes [N]."""
 NOMINAL = "nominal"
-"""Row of episodes in the nominal world, which is no test world."""
+"""Row name of episodes in the nominal world, which is not a test world."""
 
 
 @dataclass(frozen=True)
@@ -43,10 +43,11 @@ class Sensitivity:
 
     policy: str
     nominal_values: Mapping[str, float]
-    """Nominal value of each row of the table; the mean, where motors or axes differ."""
+    """Nominal value of each row of the table of ranges; the mean if motors or axes differ."""
     episodes: pd.DataFrame
-    """An episode a row: row of the table, unit, value, run, return [m], speed [m/s], whether the robot fell or the
-    simulation diverged. Those of the nominal world come first; then test worlds, with values rising in each row."""
+    """One row per episode: row of the table of ranges, unit, value, run, return [m], speed [m/s], whether the robot
+    fell or the simulation diverged. Episodes in the nominal world come first, then the test worlds, by increasing
+    value within each row of the table."""
 
     @property
     def nominal(self) -> pd.DataFrame:
@@ -60,7 +61,7 @@ class Sensitivity:
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """A test world a row: row, unit, value, episodes, return [m] with its error, mean speed [m/s], falls."""
+        """One row per test world: row, unit, value, episodes, return [m] with its error, mean speed [m/s], falls."""
         groups = self.tests.groupby(["row", "unit", "value"], sort=False)
         columns = {
             "episodes": ("run", "size"),
@@ -73,38 +74,38 @@ class Sensitivity:
         return groups.agg(**columns).reset_index()
 
     def of_row(self, row: str) -> pd.DataFrame:
-        """Return the test worlds of a row, values rising."""
+        """Return the test worlds of a row, by increasing value."""
         return self.worlds[self.worlds.row == row]
 
     @property
     def rows(self) -> tuple[str, ...]:
-        """Rows of the table that were varied, in its order."""
+        """Rows of the table of ranges that were varied, in its order."""
         return tuple(self.tests.row.unique())
 
     @property
     def mean(self) -> float:
-        """Mean over all test worlds of their mean returns [m]: the paper's measure of performance."""
+        """Mean of the test worlds' mean returns [m], the paper's measure of performance."""
         return float(self.worlds.return_mean.mean())
 
     @property
     def std(self) -> float:
-        """Standard deviation over all test worlds of their mean returns [m]: the paper's measure of robustness."""
+        """Standard deviation of the test worlds' mean returns [m], the paper's measure of robustness."""
         return float(self.worlds.return_mean.std())
 
     @property
     def fall_rate(self) -> float:
-        """Share of all episodes in test worlds that ended in a fall."""
+        """Fraction of the episodes in test worlds that ended in a fall."""
         return float(self.tests.fell.mean())
 
     def to_mapping(self) -> dict[str, Any]:
-        """Return the results as JSON holds them, without the policy's name."""
+        """Return the results for JSON, without the policy's name."""
         columns = self.episodes.to_dict("list")
         columns["value"] = list(map(plain_value, columns["value"]))
         return {"nominal_values": dict(self.nominal_values), "episodes": columns}
 
     @classmethod
     def from_mapping(cls, data: Mapping[str, Any], policy: str) -> Sensitivity:
-        """Return results of `to_mapping` under the name of a policy."""
+        """Return the results from the output of `to_mapping` and the policy's name."""
         return cls(policy, data["nominal_values"], pd.DataFrame(data["episodes"]))
 
 
@@ -114,9 +115,10 @@ def make_test_worlds(
     values: int = 10,
     push_force: tuple[float, float] | None = None,
 ) -> TestWorlds:
-    """Return the test worlds of ranges around nominal values, and of a range of the force of pushes [N].
+    """Return the test worlds for ranges of parameters and, optionally, of the push force [N].
 
-    Each row takes two or more evenly spaced `values` in its range, both ends included; a range of one value takes one.
+    Each row has `values` (two or more) evenly spaced values in its range, including both ends; one if the range is a
+    single value.
     """
     rows = {name: resolve_range(bounds, getattr(nominal, name)[:1]) for name, bounds in ranges.items()}
     if push_force is not None:
@@ -131,7 +133,7 @@ def make_test_worlds(
 
 
 def row_unit(row: str) -> str:
-    """Return the unit of a row's values; empty for a ratio."""
+    """Return the unit of a row's values; empty for ratios."""
     if row == PUSH_FORCE:
         return "N"
     unit = PARAMETERS[row].unit
@@ -139,7 +141,7 @@ def row_unit(row: str) -> str:
 
 
 def trained_ranges(task: TaskConfig) -> dict[str, tuple[float, float]]:
-    """Return the ranges that a policy of a task was trained in, by row."""
+    """Return the ranges of a task's training, by row."""
     robot = RobotDescription.load(task.robot)
     nominal = task.nominal(robot)
     ranges = {name: mean_interval(interval, getattr(nominal, name)) for name, interval in task.randomize.items()}
@@ -163,39 +165,39 @@ def run_sensitivity(
     robots: int = 0,
     progress: Progress | None = None,
 ) -> Sensitivity:
-    """Run a policy in every test world, and in the nominal one, side by side.
+    """Run a policy in every test world and in the nominal world, in parallel.
 
-    Episodes last the same time in all worlds, not the same number of control steps: else returns of the row
-    `control_step` would measure how long episodes are. Each ends with the whole number of control steps nearest to
-    the duration, or with a fall. Episode i has the same start and pushes in every world, so that differences between
-    worlds are caused by their parameters; in the nominal world it is episode i of `run_episodes`.
+    Episodes have the same duration in all worlds, not the same number of control steps: otherwise the returns of the
+    row `control_step` would measure the episodes' length. Each ends after the number of control steps nearest to the
+    duration, or with a fall. Episode i has the same start and pushes in every world, so that differences between
+    worlds are caused by their parameters; in the nominal world it equals episode i of `run_episodes`.
 
     Args:
-        policy: gives the feedback.
-        task: what is run; its own physical parameters are the nominal ones.
-        make_world: makes the simulation.
-        ranges: the parameters to vary and their ranges, within what the robot allows.
-        push_force: least and greatest force [N] of a further row, `push_force`: in each of its worlds every push has
-            one force. All directions are horizontal then.
-        policy_name: for the results.
-        values: evenly spaced values in each range.
+        policy: computes the feedback.
+        task: the task; its physical parameters are the nominal ones.
+        make_world: creates the simulation.
+        ranges: parameters to vary, and their ranges within the robot's bounds.
+        push_force: minimum and maximum force [N] of an additional row, `push_force`: each of its worlds has one force
+            for all pushes. All pushes are then horizontal.
+        policy_name: name of the policy in the results.
+        values: number of evenly spaced values in each range.
         episodes: episodes in each world.
-        duration: length of an episode [s]; `task.max_steps` nominal control steps, if not given.
-        seed: the one seed.
-        threads: threads of the simulation; 0 means one a core.
-        pushes: whether the base is pushed, with the task's settings, every push in full.
-        robots: most robots side by side, for engines that take much memory for each; 0 means all. The result does not
-            depend on it.
-        progress: called with the share of the control steps that is done; an episode that ends early is done.
+        duration: length of an episode [s]; defaults to `task.max_steps` nominal control steps.
+        seed: seed of all random numbers.
+        threads: threads of the simulation; 0 means one per core.
+        pushes: whether to push the base, with the task's settings at full force.
+        robots: maximum number of parallel robots, for engines that need much memory for each; 0 means no limit. The
+            result does not depend on it.
+        progress: called with the completed fraction of the control steps; an episode that ends early is complete.
 
     Raises:
-        SurefootError: no ranges.
+        SurefootError: `ranges` is empty and `push_force` is not set.
     """
     duration = episode_duration(task) if duration is None else duration
     robot = RobotDescription.load(task.robot)
     worlds = make_test_worlds(ranges, task.nominal(robot), values, push_force)
     other_force = task.pushes.force_range(robot.weight) if pushes else (0.0, 0.0)
-    # The environment's own limit of control steps is out of reach: every robot has its own number.
+    # The environment's limit of control steps is never reached: `run_to_end` has one for each robot.
     pushes_config = task.pushes.for_evaluation(pushes, push_force)
     task = replace(task, randomize={}, pushes=pushes_config, max_steps=MAX_STEPS)
     batch = max(robots // episodes - 1, 1) if robots else len(worlds)
@@ -216,20 +218,20 @@ def run_sensitivity(
             steps[:episodes] = 0  # the nominal world has been run
 
         def act(observation: NDArray[np.float32], env: LocomotionEnv = env) -> Array:
-            # The policy sees only robots that go on: control steps differ, and so do their numbers.
-            going, feedback = ~env.state.over, env.state.feedback.copy()
-            feedback[going] = policy.feedback(observation[going])
+            # Only unfinished robots have observations: their numbers of control steps differ.
+            active, feedback = ~env.state.over, env.state.feedback.copy()
+            feedback[active] = policy.feedback(observation[active])
             return env.gait.action(feedback)
 
-        def report(share: float, first: int = first, count: int = len(chosen)) -> None:
+        def report(fraction: float, first: int = first, count: int = len(chosen)) -> None:
             if progress is not None:
-                progress((first + share * count) / len(worlds))
+                progress((first + fraction * count) / len(worlds))
 
         parts.append(run_to_end(act, env, env.reset()[0], steps, report)[episodes if first else 0 :])
     runs = pd.concat(parts, ignore_index=True)
     places = [(NOMINAL, "", np.nan), *((row, row_unit(row), value) for row, value, _ in worlds)]
     table = pd.DataFrame([place for place in places for _ in range(episodes)], columns=["row", "unit", "value"])
-    # A diverged simulation counts as a fall: the policy has brought the robot to where the model does not hold.
+    # A diverged simulation counts as a fall: the policy drove the robot to a state in which the model is not valid.
     results = {"return": runs["return"], "speed": runs.speed, "fell": ~runs.balanced}
     table = table.assign(run=np.tile(np.arange(episodes), len(places)), **results)
     nominal = {name: float(np.mean(getattr(env.nominal, name)[0])) for name in ranges}
@@ -239,7 +241,7 @@ def run_sensitivity(
 
 
 def _in_worlds(make_world: SimulationFactory, worlds: TestWorlds, episodes: int) -> SimulationFactory:
-    """Return a factory of simulations whose first `episodes` robots are nominal, the next in the first world, ..."""
+    """Return a factory of simulations with a block of `episodes` robots for each world, the nominal one first."""
 
     def make(
         robot: RobotDescription, num_envs: int, nominal: PhysicalParams, seed: int, config: WorldConfig
@@ -255,7 +257,7 @@ def _in_worlds(make_world: SimulationFactory, worlds: TestWorlds, episodes: int)
 
 
 def _share_streams(env: LocomotionEnv, episodes: int) -> None:
-    """Give episode i the random numbers of the i-th robot in every world."""
+    """Give episode i of every world the random streams of robot i."""
     state, robots = env.get_state(), env.num_envs
 
     def shared(streams: list[object]) -> list[object]:
@@ -267,16 +269,16 @@ def _share_streams(env: LocomotionEnv, episodes: int) -> None:
     env.set_state(state)
 
 
-def find_breaks(sensitivity: Sensitivity) -> pd.DataFrame:
-    """Find where a gait breaks, going from each row's nominal value to either end of its range.
+def find_gait_limits(sensitivity: Sensitivity) -> pd.DataFrame:
+    """Find the values at which a gait fails first, from each row's nominal value towards both ends of its range.
 
-    A gait breaks in a world in which it falls in half of the episodes or more, or in which its mean return is below
-    half of the nominal one (if that is over 0).
+    A gait fails in a world in which at least half of the episodes end in a fall, or in which the mean return is below
+    half of the nominal return (if that is positive).
 
     Returns:
-        a break a row, the nearest to nominal first: row of the table, value at which the gait breaks first, whether
-        that is above the nominal one, its distance from there over that of the end of the range (`fraction`), falls and
-        mean return [m] there, the number of test worlds beyond, and in how many of them the gait breaks too.
+        One row per failure, the nearest to nominal first: row of the table of ranges, value of the first failure,
+        whether it is above nominal, its distance from nominal relative to the end of the range (`fraction`), falls and
+        mean return [m] there, the number of test worlds beyond it, and the number of these in which the gait fails.
     """
     worlds, nominal = sensitivity.worlds, sensitivity.nominal["return"].mean()
     broken = worlds.falls >= worlds.episodes / 2
@@ -287,14 +289,14 @@ def find_breaks(sensitivity: Sensitivity) -> pd.DataFrame:
         centre = sensitivity.nominal_values[row]
         for above in (True, False):
             distance = tests.value - centre if above else centre - tests.value
-            # A value that is the nominal one but for rounding belongs to neither side.
-            beside = distance > 1e-9 * max(np.ptp(tests.value), abs(centre))
-            side = tests.assign(distance=distance)[beside].sort_values("distance")
+            # A value that equals the nominal one up to rounding is on neither side.
+            differs = distance > 1e-9 * max(np.ptp(tests.value), abs(centre))
+            side = tests.assign(distance=distance)[differs].sort_values("distance")
             first = int(side.broken.to_numpy().argmax()) if side.broken.any() else len(side)
             for world in side[first : first + 1].itertuples():
                 fraction = world.distance / side.distance.iloc[-1]
                 beyond = len(side) - first - 1, int(side.broken[first + 1 :].sum())
                 breaks.append((row, world.value, above, fraction, world.falls, world.return_mean, *beyond))
-    # Equal fractions differ in their last digits; rounded, they keep the order of the table.
+    # Equal fractions may differ in their last digits; rounding keeps the order of the table.
     columns = ["row", "value", "above", "fraction", "falls", "mean_return", "beyond", "broken_beyond"]
     return pd.DataFrame(sorted(breaks, key=lambda one: round(one[3], 9)), columns=columns)

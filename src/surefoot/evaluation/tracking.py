@@ -1,4 +1,4 @@
-"""Errors of following commands: speed and yaw rate in the heading frame, from traces."""
+"""Tracking errors of velocity commands, from traces: speeds in the heading frame, and yaw rate."""
 
 from __future__ import annotations
 
@@ -12,46 +12,51 @@ from surefoot.errors import SurefootError
 from surefoot.robot.commands import COMMANDS, CommandLimits
 from surefoot.rotations import in_heading_frame, quat_yaw
 from surefoot.tables import plain_value
-from surefoot.task.command_tracking import has_kept_up, step_ways
+from surefoot.task.command_tracking import is_success, step_distances
 from surefoot.task.trace import EpisodeTrace
 
-STRIDE = 0.5
-"""Time [s] to average over where the gait has no period of its own."""
-GRID = 7
-"""Commands along each side of a grid."""
-SETTLING = 1.0
-"""Time [s] after a change of the command that is left out: no robot follows a jump."""
+DEFAULT_STRIDE_PERIOD = 0.5
+"""Averaging time [s] if the gait has no period."""
+GRID_SIZE = 7
+"""Number of commands along each side of a grid."""
+SETTLING_TIME = 1.0
+"""Time [s] that is left out after a change of the command, since no robot can follow a step at once."""
 
 
 @dataclass(frozen=True)
 class Tracking:
-    """Root mean square errors of speed forward and sideways [m/s] and yaw rate [rad/s]; NaN without any."""
+    """Root mean square errors of forward and sideways speed [m/s] and yaw rate [rad/s]; NaN without data."""
 
     rmse: Array
-    """Of each control step's mean speeds, (3,)."""
+    """Instantaneous error (3,), of the mean velocity in each control step."""
     rmse_stride: Array
-    """Of speeds averaged over a stride, (3,)."""
+    """Stride-averaged error (3,), of the velocity averaged over a stride."""
 
     @classmethod
     def from_traces(cls, traces: Iterable[EpisodeTrace], stride: float | None = None) -> Tracking:
-        """Measure recorded runs with commands; a stride takes `stride` [s], by default the gait's period.
+        """Return the tracking errors of recorded runs with commands.
 
-        Steps within `SETTLING` after the command changed are left out, and for averages all strides that hold one.
+        Control steps within `SETTLING_TIME` after a change of the command are left out, and so are strides that contain
+        one.
+
+        Args:
+            traces: the runs.
+            stride: stride period [s]; defaults to the gait's period.
         """
         steps, strides = [np.empty((0, 3))], [np.empty((0, 3))]
         for trace in traces:
-            errors, settled = motion(trace) - trace.command, settled_steps(trace)
+            errors, settled = measured_velocity(trace) - trace.command, settled_mask(trace)
             steps.append(errors[settled])
-            period = stride or trace.meta["gait_period"] or STRIDE
+            period = stride or trace.meta["gait_period"] or DEFAULT_STRIDE_PERIOD
             count = max(round(period / trace.meta["control_step"]), 1)
             if len(errors) >= count:
-                whole = np.lib.stride_tricks.sliding_window_view(settled, count).all(axis=-1)
+                complete = np.lib.stride_tricks.sliding_window_view(settled, count).all(axis=-1)
                 means = np.lib.stride_tricks.sliding_window_view(errors, count, axis=0).mean(axis=-1)
-                strides.append(means[whole])
+                strides.append(means[complete])
         return cls(*(_rms(np.concatenate(errors)) for errors in (steps, strides)))
 
     def to_mapping(self) -> dict[str, dict[str, object]]:
-        """Return the errors by command as JSON holds them."""
+        """Return the errors by command, for JSON."""
         return {
             name: dict(zip(COMMANDS, map(plain_value, values.tolist()), strict=True))
             for name, values in (("rmse", self.rmse), ("rmse_stride", self.rmse_stride))
@@ -59,14 +64,18 @@ class Tracking:
 
 
 def command_grid(limits: CommandLimits | None) -> tuple[tuple[float, float, float], ...]:
-    """Return commands over a policy's range: forward with turning, and, if it has it, forward with sideways.
+    """Return a grid of commands over a policy's range.
+
+    It combines forward speed with yaw rate and, if the policy can walk sideways, forward with sideways speed.
 
     Raises:
-        SurefootError: a policy without commands.
+        SurefootError: the policy has no commands.
     """
     if limits is None:
         raise SurefootError("--command-grid is given; this policy has no commands to follow")
-    forward, sideways, turn = (np.linspace(low, high, GRID) for low, high in zip(limits.low, limits.high, strict=True))
+    forward, sideways, turn = (
+        np.linspace(low, high, GRID_SIZE) for low, high in zip(limits.low, limits.high, strict=True)
+    )
     rows = [(float(x), 0.0, float(w)) for w in turn for x in forward]
     if np.ptp(sideways) > 0:
         rows += [(float(x), float(y), 0.0) for y in sideways for x in forward if y]
@@ -74,10 +83,10 @@ def command_grid(limits: CommandLimits | None) -> tuple[tuple[float, float, floa
 
 
 def check_command(command: tuple[float, float, float], limits: CommandLimits | None) -> tuple[float, float, float]:
-    """Return a command to a policy: speeds forward and to the left [m/s] and yaw rate [rad/s].
+    """Return a command (forward and left speed [m/s], yaw rate [rad/s]) if it is within the policy's range.
 
     Raises:
-        SurefootError: a policy without commands, or a command out of its range.
+        SurefootError: the policy has no commands, or the command is out of its range.
     """
     if limits is None:
         raise SurefootError("--command is given; this policy has no commands to follow")
@@ -88,33 +97,35 @@ def check_command(command: tuple[float, float, float], limits: CommandLimits | N
 
 
 def distance_along(trace: EpisodeTrace) -> float:
-    """Return how far a run went along its commands [m]: steps whose command has no linear speed cover nothing."""
-    return float(_step_ways(trace)[1].sum())
+    """Return the distance that a run covered along its commands [m]; steps without a commanded speed count as 0."""
+    return float(_step_distances(trace)[1].sum())
 
 
-def kept_up(trace: EpisodeTrace) -> bool:
-    """Return whether a run ended without a fall and went .7 to 1.25 of the way that its commands lead."""
-    commanded, covered = _step_ways(trace)
-    return bool(has_kept_up(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
+def is_successful(trace: EpisodeTrace) -> bool:
+    """Return whether a run ended without a fall and covered 0.7 to 1.25 times the commanded path."""
+    commanded, covered = _step_distances(trace)
+    return bool(is_success(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
 
 
-def _step_ways(trace: EpisodeTrace) -> tuple[Array, Array]:
-    return step_ways(np.nan_to_num(trace.command[:, :2]), motion(trace)[:, :2], np.diff(trace.time, prepend=0.0))
+def _step_distances(trace: EpisodeTrace) -> tuple[Array, Array]:
+    return step_distances(
+        np.nan_to_num(trace.command[:, :2]), measured_velocity(trace)[:, :2], np.diff(trace.time, prepend=0.0)
+    )
 
 
-def motion(trace: EpisodeTrace) -> Array:
-    """Return mean speeds forward and to the left [m/s] and yaw rate [rad/s] over each control step, (T, 3)."""
+def measured_velocity(trace: EpisodeTrace) -> Array:
+    """Return the mean forward and left speed [m/s] and yaw rate [rad/s] of each control step (T, 3)."""
     yaw, step = quat_yaw(trace.base_quat_world), np.diff(trace.time, prepend=0.0)
     velocity = np.diff(trace.base_position_world, axis=0) / step[:, None]
     turned = (np.diff(yaw) + np.pi) % (2 * np.pi) - np.pi
     return np.column_stack([in_heading_frame(velocity, yaw[:-1])[:, :2], turned / step])
 
 
-def settled_steps(trace: EpisodeTrace) -> np.ndarray:
-    """Return for each control step whether its command has been the same for `SETTLING`, (T,)."""
+def settled_mask(trace: EpisodeTrace) -> np.ndarray:
+    """Return for each control step whether its command has been constant for `SETTLING_TIME` (T,)."""
     changed = np.any(np.diff(trace.command, axis=0, prepend=np.nan) != 0, axis=1)
     since = trace.time - np.maximum.accumulate(np.where(changed, np.concatenate([[0.0], trace.time[:-1]]), 0.0))
-    settled: np.ndarray = np.isfinite(trace.command).all(axis=1) & (since >= SETTLING - 1e-9)
+    settled: np.ndarray = np.isfinite(trace.command).all(axis=1) & (since >= SETTLING_TIME - 1e-9)
     return settled
 
 

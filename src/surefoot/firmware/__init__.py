@@ -1,1 +1,1 @@
-"""A robot's firmware in C: sources, and the project of one robot made from them."""
+"""Robot firmware in C: sources, and the generator of a firmware project for one robot."""

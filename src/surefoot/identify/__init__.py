@@ -1,1 +1,1 @@
-"""Experiments on a robot, and how well a simulator repeats them."""
+"""System identification: experiments, recordings, replay in simulation, and fits of physical parameters."""

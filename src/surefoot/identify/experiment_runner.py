@@ -1,4 +1,4 @@
-"""Run of an experiment on a robot over the link, within the plan's limits, with everything recorded."""
+"""Runs an experiment on a robot over the link within the plan's limits, and records all commands and states."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ from surefoot.identify.recording import (
     RecordedPhase,
     Recording,
     RecordingMeta,
-    digest_of,
+    digest_arrays,
 )
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
-PERIOD = 0.002
-"""Time between two commands, and between two states [s]: at 921,600 baud a state takes 1.7 ms."""
-REST = 1.0
+COMMAND_PERIOD = 0.002
+"""Time between two commands, and between two states [s]. At 921,600 baud a state takes 1.7 ms."""
+REST_TIME = 1.0
 """Time at rest before the robot is armed [s]."""
-LATE = 0.05
-"""Age of the newest state [s], and time without a command, that end an experiment: the robot damps itself then."""
-BATTERY_ROOM = 0.3
-"""Voltage [V] above the robot's own limit at which an experiment ends, if it stays there for a second."""
+MAX_STATE_AGE = 0.05
+"""Age of the newest state, or time without a command [s], that stops the experiment; the robot then damps itself."""
+BATTERY_MARGIN = 0.3
+"""Voltage [V] above the robot's own limit below which the experiment stops, if it persists for a second."""
 
 
 class ExperimentStoppedError(RuntimeError):
-    """An experiment ended early; motors are damped or disarmed."""
+    """The experiment stopped early; motors are damped or disarmed."""
 
 
 class _ExperimentRunner:
-    """An experiment on a connected robot; see `run_plan`."""
+    """Runs one experiment on a connected robot; see `run_plan`."""
 
     def __init__(
         self, link: RobotLink, plan: Plan, robot: RobotDescription, operator: StopSignals, monitor: RunMonitor
@@ -52,12 +52,12 @@ class _ExperimentRunner:
             raise SurefootError("the robot is not connected")
         self.link, self.plan, self.robot, self.operator = link, plan, robot, operator
         self.handshake: Handshake = link.handshake
-        self.period = min(max(PERIOD, self.handshake.command_period_min), self.handshake.command_period_max)
-        # Commands that come a little early must not put off a state that is due.
+        self.period = min(max(COMMAND_PERIOD, self.handshake.command_period_min), self.handshake.command_period_max)
+        # Commands are sent slightly early, so that they do not delay a state that is due.
         self.lead = 0.0 if link.lockstep else self.period / 4
-        steps = LATE / self.period
-        # Batteries sag under an experiment's load, and recover: only the robot's own limit counts.
-        low = self.handshake.voltage_min + BATTERY_ROOM
+        steps = MAX_STATE_AGE / self.period
+        # Batteries sag under the load of an experiment and recover, so the limit is close to the robot's own.
+        low = self.handshake.voltage_min + BATTERY_MARGIN
         limits = SafetyLimits.from_robot(robot)
         self._limits = replace(limits, state_age=steps, missed_steps=int(steps) - 1, battery_low=low)
         self._monitor = monitor
@@ -68,28 +68,30 @@ class _ExperimentRunner:
         self._target: Array | None = None
         self._started = 0.0
         self._low, self._high = plan.angle_low, plan.angle_high
-        self._why = ""
+        self._stop_reason = ""
 
     def run(self) -> Recording:
         link, ended, resting = self.link, COMPLETE, 0
         statistics = link.statistics
         before = statistics.missing, statistics.damaged
+        if not link.lockstep:
+            link.update()  # states that have waited since the connection would count as just come
         link.on_state = lambda *received: self._states.append(received)
         self._started = link.clock.now()
         try:
-            self._runner(self.plan.phases[0].mode).ping_until(lambda: False, REST)
+            self._runner(self.plan.phases[0].mode).ping_until(lambda: False, REST_TIME)
             resting = len(self._states)
-            # Legs on a rack hang down, and fold when a robot lies: the first transition starts there.
+            # Legs hang down on a rack, and are folded when the robot lies: the first transition starts from there.
             angle = link.last_state().motor_angle
             self._low, self._high = np.minimum(self._low, angle), np.maximum(self._high, angle)
             self._run_phases()
         except (ExperimentStoppedError, LinkLostError) as stopped:
             ended = str(stopped)
-        except SurefootError as refused:
-            # What was recorded before a robot refuses to be armed once more is kept.
+        except SurefootError as error:
+            # If the robot can't be armed again between phases, what was recorded so far is kept.
             if not self._sent:
                 raise
-            ended = str(refused)
+            ended = str(error)
         finally:
             link.on_state = None
         frames = {"missing": statistics.missing - before[0], "damaged": statistics.damaged - before[1]}
@@ -128,9 +130,9 @@ class _ExperimentRunner:
             nonlocal start
             if start is None:
                 start = state.motor_angle.copy() if phase.mode == Mode.POSITION else np.zeros(self.robot.num_motors)
-            self._why = self._passed_limit(state, phase)
-            if self._why:
-                raise ExperimentStoppedError(self._why)
+            self._stop_reason = self._exceeded_limit(state, phase)
+            if self._stop_reason:
+                raise ExperimentStoppedError(self._stop_reason)
             bounds = (low, high) if phase.mode == Mode.POSITION else (-1.0, 1.0)
             return np.clip(phase.signal(k * self.period, start), *bounds)
 
@@ -138,32 +140,32 @@ class _ExperimentRunner:
             if loop.target is not None:
                 self._sent.append((self.link.next_number - 1, self.link.clock.now(), index, loop.target))
 
-        verdict = loop.follow(phase.name, loop.steps_of(phase.duration), target, after)
+        verdict = loop.run_phase(phase.name, loop.num_steps(phase.duration), target, after)
         self._target = loop.target
         if verdict.act is Act.SIT:
             loop.damp()
         if verdict.act is not Act.GO:
-            raise ExperimentStoppedError(f"{self._why or verdict.text} (in phase '{phase.name}')")
+            raise ExperimentStoppedError(f"{self._stop_reason or verdict.text} (in phase '{phase.name}')")
 
-    def _passed_limit(self, state: State, phase: Phase) -> str:
-        """Return the limit of the plan that is passed; empty, if none is."""
+    def _exceeded_limit(self, state: State, phase: Phase) -> str:
+        """Return a message about a limit of the plan that is exceeded; empty if there is none."""
         plan, limits, names = self.plan, self.plan.limits, self.robot.motor_names
         low, high = (self._low, self._high) if phase.use == "transition" else (plan.angle_low, plan.angle_high)
         beyond = np.maximum(low - state.motor_angle, state.motor_angle - high)
         worst = int(np.argmax(beyond))
-        if self._sent and beyond[worst] > limits.angle_room:
+        if self._sent and beyond[worst] > limits.angle_margin:
             return (
                 f"{names[worst]} is at {state.motor_angle[worst]:.2f} rad, {beyond[worst]:.2f} beyond the plan's "
-                f"angles; at most {limits.angle_room:g}"
+                f"angles; at most {limits.angle_margin:g}"
             )
         overloaded = np.abs(state.motor_torque) > limits.torque
         self._overload_time = np.where(overloaded, self._overload_time + self.period, 0.0)
         worst = int(np.argmax(self._overload_time))
         if self._overload_time[worst] > limits.torque_time:
-            return f"{names[worst]} gave more than {limits.torque:g} N m for {limits.torque_time:g} s"
+            return f"{names[worst]} exceeded {limits.torque:g} N m for {limits.torque_time:g} s"
         worst = int(np.argmax(state.temperature))
         if state.temperature[worst] > limits.temperature:
-            return f"{names[worst]} has {state.temperature[worst]:.0f} degC; at most {limits.temperature:g}"
+            return f"{names[worst]} is at {state.temperature[worst]:.0f} degC; at most {limits.temperature:g}"
         if self.link.clock.now() - self._started > limits.duration:
             return f"it took more than {limits.duration:g} s"
         return ""
@@ -198,19 +200,19 @@ class _ExperimentRunner:
             resting_states=resting,
             frames=RecordedFrames(len(states), **frames),
             date=datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
-            digest=digest_of(arrays),
+            digest=digest_arrays(arrays),
         )
         return Recording(**arrays, meta=to_mapping(meta), robot_archive=self.robot.archive)
 
 
 def run_plan(link: RobotLink, plan: Plan, robot: RobotDescription, monitor: RunMonitor) -> Recording:
-    """Record a connected robot at rest and in all phases, and disarm it; return the recording, however it ended.
+    """Run a plan on a connected robot, disarm it, and return the recording, even if the experiment stopped early.
 
-    Nothing is raised once motors may have moved: `meta["ended"]` is why an experiment did not come to its end, such
-    as a signal of the operator.
+    Nothing is raised once motors may have moved: `meta["ended"]` states why an experiment stopped early, such as a
+    signal from the operator.
 
     Raises:
-        SurefootError: the robot is not connected, or does not arm.
+        SurefootError: the robot is not connected or does not arm.
     """
     with StopSignals() as operator:
         return _ExperimentRunner(link, plan, robot, operator, monitor).run()

@@ -1,6 +1,7 @@
-"""Least squares with MuJoCo's solver (`mujoco.minimize`, that of `mujoco.sysid`), which takes many candidates at once.
+"""Nonlinear least squares with MuJoCo's solver (`mujoco.minimize`, which `mujoco.sysid` also uses).
 
-A fit has intervals that allow for residuals that correlate in time, correlations, and which unknowns are identifiable.
+The solver evaluates many candidates in one batch. A fit states the covariance of its estimates, which allows for
+residuals that are correlated in time, and which unknowns are identifiable.
 """
 
 from __future__ import annotations
@@ -16,59 +17,59 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.model import ReplayModel, Unknown
 
-MIN_GAIN = 1e-5
-"""Relative decrease of the cost that a step must promise; less ends the fit."""
-MAX_DEVIATION = 0.7
-"""Greatest deviation of an identifiable number, as a share of its prior deviation, or of a quarter of its bounds."""
+MIN_COST_DECREASE = 1e-5
+"""Predicted relative decrease of the cost below which the fit ends."""
+MAX_DEVIATION_RATIO = 0.7
+"""Maximum standard deviation of an identifiable unknown, relative to its standard deviation before the fit."""
 MIN_CORRELATION = 0.8
-"""Correlation from which two numbers are hardly distinguishable."""
+"""Correlation of errors from which two unknowns are hardly distinguishable."""
 MAX_ITERATIONS = 25
 MAX_HELD_SHIFT = 2.0
-"""Greatest deviation that residuals may ask of a held unknown, over that of its prior."""
+"""Maximum error of a held unknown that may be inferred from the residuals, in standard deviations of its prior."""
 
 
 class _ConvergedError(Exception):
-    """Raised from within the solver: its own tolerances are finer than finite differences of a simulation."""
+    """Raised in a callback to end the solver, whose tolerances are finer than finite differences of a simulation."""
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The result of a fit."""
+    """Result of a least-squares fit of n unknowns to m residuals."""
 
     unknowns: tuple[Unknown, ...]
     values: Array
-    """(n,)"""
+    """Estimates (n,)."""
     covariance: Array
-    """Of the values' errors (n, n)."""
+    """Covariance of the errors of the estimates (n, n)."""
     residuals: Array
-    """(m,), in standard deviations."""
+    """Residuals at the estimates (m,), in standard deviations."""
     jacobian: Array
-    """Derivatives of the residuals (m, n)."""
+    """Derivatives of the residuals with respect to the unknowns (m, n)."""
     held: NDArray[np.bool_] | None = None
-    """Which unknowns kept their start (n,), as the data do not determine them; None: none did."""
-    considers: bool = False
-    """Whether the last unknowns were never fitted, see `hold_unidentifiable`."""
+    """Mask (n,) of the unknowns held at their start values because the data do not determine them; None: none."""
+    has_considered: bool = False
+    """Whether the last unknowns are considered parameters, which are never fitted; see `hold_unidentifiable`."""
 
     @property
     def free(self) -> NDArray[np.bool_]:
-        """Which unknowns were fitted (n,)."""
+        """Mask (n,) of the unknowns that were fitted."""
         return np.ones(len(self.unknowns), np.bool_) if self.held is None else ~self.held
 
     @property
     def deviation(self) -> Array:
-        """Standard deviations (n,)."""
+        """Standard deviations of the estimates (n,)."""
         return np.sqrt(np.diag(self.covariance))
 
     @property
     def correlation(self) -> Array:
-        """Correlation of the values' errors (n, n), from -1 to 1."""
+        """Correlation matrix of the errors of the estimates (n, n)."""
         scale = np.maximum(self.deviation, 1e-300)
         return self.covariance / np.outer(scale, scale)
 
     @property
     def identifiable(self) -> NDArray[np.bool_]:
-        """Which unknowns the data determine (n,): those whose deviation is clearly less than before."""
-        return self.deviation < MAX_DEVIATION * self.prior_deviation
+        """Mask (n,) of the unknowns that the data determine: the standard deviation is clearly below the prior one."""
+        return self.deviation < MAX_DEVIATION_RATIO * self.prior_deviation
 
     @property
     def prior_deviation(self) -> Array:
@@ -76,7 +77,7 @@ class Fit:
         return np.array([unknown.prior_deviation for unknown in self.unknowns])
 
     def strongest_correlations(self, count: int = 5) -> list[tuple[str, str, float]]:
-        """Return pairs of unknowns that are hardly distinguishable, strongest first."""
+        """Return the pairs of unknowns that are hardly distinguishable, the strongest correlation first."""
         c = self.correlation
         pairs = [(abs(c[i, j]), i, j) for i in range(len(c)) for j in range(i) if abs(c[i, j]) >= MIN_CORRELATION]
         return [
@@ -85,7 +86,7 @@ class Fit:
 
 
 def forward_jacobian(model: ReplayModel, values: Array, residuals: Array) -> Array:
-    """Return derivatives (m, n) by forward differences, with one candidate for all unknowns of a colour."""
+    """Return the Jacobian (m, n) by forward differences; unknowns of one colour share a perturbed candidate."""
     unknowns = model.unknowns
     colours: dict[int, list[int]] = {}
     for i, unknown in enumerate(unknowns):
@@ -107,15 +108,15 @@ def forward_jacobian(model: ReplayModel, values: Array, residuals: Array) -> Arr
 def fit_least_squares(
     model: ReplayModel, start: Array | None = None, report: Callable[[int, float], None] | None = None
 ) -> Fit:
-    """Minimize the sum of squared residuals of a model within bounds, priors counted as residuals.
+    """Minimize the sum of squared residuals of a model within bounds; deviations from priors count as residuals.
 
     Args:
-        model: what to fit.
-        start: values (n,) to begin with; those of the unknowns, if not given.
-        report: callback with each iteration's number and mean square.
+        model: the residuals.
+        start: initial values (n,). Defaults to the start values of the unknowns.
+        report: callback with the number of each iteration and the mean squared residual.
 
     Raises:
-        SurefootError: residuals that are not finite where the fit begins.
+        SurefootError: residuals are not finite at the initial values.
     """
     unknowns = tuple(model.unknowns)
     scale, low, high, starts = (
@@ -125,44 +126,44 @@ def fit_least_squares(
     middle, spread = starts[with_prior], np.array([unknowns[i].prior for i in with_prior], float)
     first = np.clip(starts if start is None else start, low, high)
 
-    def values_of(x: Array) -> Array:
-        # The solver's bounds hold to rounding: without this a friction of -1e-19 is possible.
+    def to_values(x: Array) -> Array:
+        # The solver keeps bounds only up to rounding errors: without clipping, a friction of -1e-19 is possible.
         values: Array = np.clip(np.asarray(x).T * scale, low, high)
         return values
 
     def residual(x: Array) -> Array:
-        values = values_of(x)
+        values = to_values(x)
         r = np.concatenate([model.residuals(values), (values[:, with_prior] - middle) / spread], axis=1).T.copy()
-        if here:
+        if last_point:
             check_convergence(x, r)
         return r
 
     def check_convergence(x: Array, r: Array) -> None:
-        """End a fit whose next step promises next to nothing; the solver would try ever smaller ones."""
-        x_before, r_before, slopes = here[0]
+        """End the fit if the next step would hardly reduce the cost; the solver would try ever smaller steps."""
+        x_before, r_before, slopes = last_point[0]
         change = slopes @ (x - x_before)
         before = float(np.sum(r_before**2))
-        if -float(np.sum((2 * r_before + change) * change)) < MIN_GAIN * before:
+        if -float(np.sum((2 * r_before + change) * change)) < MIN_COST_DECREASE * before:
             converged[:] = [x if np.sum(r**2) < before else x_before]
             raise _ConvergedError
 
     def jacobian(x: Array, r: Array) -> Array:
-        values, count = values_of(x)[0], len(r) - len(with_prior)
-        whole = np.zeros((len(r), len(scale)))
-        whole[:count] = forward_jacobian(model, values, r[:count, 0])
-        whole[count + np.arange(len(with_prior)), with_prior] = 1 / spread
-        here[:] = [(x, r, whole * scale)]
-        return here[0][2]
+        values, count = to_values(x)[0], len(r) - len(with_prior)
+        full_jacobian = np.zeros((len(r), len(scale)))
+        full_jacobian[:count] = forward_jacobian(model, values, r[:count, 0])
+        full_jacobian[count + np.arange(len(with_prior)), with_prior] = 1 / spread
+        last_point[:] = [(x, r, full_jacobian * scale)]
+        return last_point[0][2]
 
-    here: list[tuple[Array, Array, Array]] = []
+    last_point: list[tuple[Array, Array, Array]] = []
     converged: list[Array] = []
-    begin = residual((first / scale)[:, None])
-    if not np.isfinite(begin).all():
-        raise SurefootError("the model breaks down where the fit begins; check robot and recording")
+    initial = residual((first / scale)[:, None])
+    if not np.isfinite(initial).all():
+        raise SurefootError("the simulation diverges with the initial parameters of the fit; check robot and recording")
 
     def report_iteration(log: list[minimize.IterLog]) -> None:
         if report is not None:
-            report(len(log), 2 * float(log[-1].objective) / len(begin))
+            report(len(log), 2 * float(log[-1].objective) / len(initial))
 
     try:
         x, _ = minimize.least_squares(
@@ -177,15 +178,15 @@ def fit_least_squares(
         )
     except _ConvergedError:
         x = converged[0]
-    here.clear()
-    values = values_of(np.asarray(x).ravel())
+    last_point.clear()
+    values = to_values(np.asarray(x).ravel())
     final = residual((values / scale)[:, None])[:, 0]
     count = len(final) - len(with_prior)
-    own = forward_jacobian(model, values, final[:count])
+    final_jacobian = forward_jacobian(model, values, final[:count])
     prior = np.diag((high - low) ** -2.0)
     prior[with_prior, with_prior] += spread**-2.0
-    covariance = _covariance(own, final[:count], model.blocks, prior, high - low)
-    return Fit(unknowns, values, covariance, final[:count], own)
+    covariance = _covariance(final_jacobian, final[:count], model.blocks, prior, high - low)
+    return Fit(unknowns, values, covariance, final[:count], final_jacobian)
 
 
 def hold_unidentifiable(
@@ -194,79 +195,86 @@ def hold_unidentifiable(
     considered: Sequence[Unknown] = (),
     report: Callable[[int, float], None] | None = None,
 ) -> Fit:
-    """Return a fit in which all that the data neither determine nor move keeps its start, the rest being fitted again.
+    """Hold the unknowns that the data neither determine nor move at their start values, and fit the others again.
 
-    With the derivatives J_h of held unknowns, J' J + prior = H of the others, and the second moment P of what the held
-    ones are off, the errors of the others have the covariance C + S P S' with S = -H^-1 J' J_h (Schmidt 1966). P is the
-    prior covariance, or less where residuals would show more.
+    The errors of held unknowns add to the covariance of the others (consider parameters, Schmidt 1966). With the
+    Jacobian J and H = J' J + prior of the free unknowns, the Jacobian J_h of the held ones, and the second moment P of
+    the errors of the held ones, the errors of the free unknowns have the covariance C + S P S', S = -H^-1 J' J_h. P is
+    the prior covariance, or less where larger errors would show in the residuals.
 
     Args:
-        model: with the unknowns of the fit, then the considered ones.
-        fit: of the former, with the latter held.
-        considered: unknowns that are not fitted, but known with the deviation of their prior only.
-        report: callback as of `fit_least_squares`.
+        model: model with the unknowns of the fit, followed by the considered ones.
+        fit: fit of the former, with the considered unknowns held.
+        considered: unknowns that are never fitted and known only within their priors.
+        report: callback as in `fit_least_squares`.
     """
     unknowns = (*fit.unknowns, *considered)
     start = np.array([unknown.start for unknown in fit.unknowns])
-    # Values that contradict the prior belong to the fit, even if they are not known better than before.
-    known = fit.identifiable | (np.abs(fit.values - start) > fit.deviation)
-    free = np.concatenate([known, np.zeros(len(considered), np.bool_)])
+    # Unknowns that move away from the prior stay free, even if their uncertainty has not decreased.
+    fitted = fit.identifiable | (np.abs(fit.values - start) > fit.deviation)
+    free = np.concatenate([fitted, np.zeros(len(considered), np.bool_)])
     if free.all():
         return fit
     values = np.array([unknown.start for unknown in unknowns])
-    values[: len(fit.values)] = np.where(known, fit.values, start)
+    values[: len(fit.values)] = np.where(fitted, fit.values, start)
     deviation = np.array([unknown.prior_deviation for unknown in unknowns])
     residuals = model.residuals(values[None])[0]
     jacobian = np.empty((len(residuals), len(unknowns)))
     if not free.any():
         jacobian = forward_jacobian(model, values, residuals)
         return Fit(unknowns, values, np.diag(deviation**2.0), residuals, jacobian, ~free, bool(considered))
-    again = fit_least_squares(model.holding(free, values), fit.values[known], report)
-    values[free], residuals = again.values, again.residuals
-    jacobian[:, free] = again.jacobian
-    jacobian[:, ~free] = held = forward_jacobian(model.holding(~free, values), values[~free], residuals)
-    # In units of the prior deviations: numbers differ by ten orders of magnitude.
-    inside, out = deviation[free], deviation[~free]
-    own, theirs = again.jacobian * inside, held * out
-    prior = np.array([float(u.prior is not None) for u in again.unknowns])
-    shift = -np.linalg.lstsq(own.T @ own + np.diag(prior), own.T @ theirs, rcond=None)[0]
-    start = np.array([unknown.start for unknown in again.unknowns])
-    pull = own.T @ residuals + prior * (again.values - start) / inside
-    moment = _moment_of_held(theirs, own, shift, residuals, pull)
-    shift, moment = inside[:, None] * shift / out, out[:, None] * moment * out
+    refit = fit_least_squares(model.restrict(free, values), fit.values[fitted], report)
+    values[free], residuals = refit.values, refit.residuals
+    jacobian[:, free] = refit.jacobian
+    jacobian[:, ~free] = held = forward_jacobian(model.restrict(~free, values), values[~free], residuals)
+    # Scaled by the prior deviations, because the unknowns differ by ten orders of magnitude.
+    free_scale, held_scale = deviation[free], deviation[~free]
+    free_jacobian, held_jacobian = refit.jacobian * free_scale, held * held_scale
+    prior = np.array([float(u.prior is not None) for u in refit.unknowns])
+    hessian, cross = free_jacobian.T @ free_jacobian + np.diag(prior), free_jacobian.T @ held_jacobian
+    sensitivity = -np.linalg.lstsq(hessian, cross, rcond=None)[0]
+    start = np.array([unknown.start for unknown in refit.unknowns])
+    gradient = free_jacobian.T @ residuals + prior * (refit.values - start) / free_scale
+    moment = _held_error_moment(held_jacobian, free_jacobian, sensitivity, residuals, gradient)
+    sensitivity = free_scale[:, None] * sensitivity / held_scale
+    moment = held_scale[:, None] * moment * held_scale
     covariance = np.empty((len(unknowns), len(unknowns)))
-    covariance[np.ix_(free, free)] = again.covariance + shift @ moment @ shift.T
-    covariance[np.ix_(free, ~free)] = shift @ moment
-    covariance[np.ix_(~free, free)] = moment @ shift.T
+    covariance[np.ix_(free, free)] = refit.covariance + sensitivity @ moment @ sensitivity.T
+    covariance[np.ix_(free, ~free)] = sensitivity @ moment
+    covariance[np.ix_(~free, free)] = moment @ sensitivity.T
     covariance[np.ix_(~free, ~free)] = moment
     return Fit(unknowns, values, covariance, residuals, jacobian, ~free, bool(considered))
 
 
-def _moment_of_held(held: Array, jacobian: Array, shift: Array, residuals: Array, pull: Array) -> Array:
-    """Return the second moment (h, h) of what held unknowns are off: their posterior covariance and mean.
+def _held_error_moment(
+    held_jacobian: Array, free_jacobian: Array, sensitivity: Array, residuals: Array, gradient: Array
+) -> Array:
+    """Return the second moment (h, h) of the errors of h held unknowns, from their posterior covariance and mean.
 
-    All are in units of the unknowns' prior deviations.
+    All quantities are scaled by the prior deviations of the unknowns.
 
     Args:
-        held: derivatives of the residuals (m, h) by them.
-        jacobian: by the free unknowns (m, n).
-        shift: change of the free unknowns (n, h) by the held ones.
-        residuals: where the fit ended (m,).
-        pull: gradient that is left there by the free unknowns (n,), not 0 at bounds.
+        held_jacobian: derivatives of the residuals with respect to the held unknowns (m, h).
+        free_jacobian: derivatives with respect to the free unknowns (m, n).
+        sensitivity: change of the free unknowns per change of the held ones (n, h).
+        residuals: residuals at the end of the fit (m,).
+        gradient: remaining gradient with respect to the free unknowns (n,), nonzero at bounds.
     """
-    precision = held.T @ (held + jacobian @ shift)
-    covariance = np.linalg.inv((precision + precision.T) / 2 + np.eye(held.shape[1]))
-    mean = np.clip(-covariance @ (held.T @ residuals + shift.T @ pull), -MAX_HELD_SHIFT, MAX_HELD_SHIFT)
+    precision = held_jacobian.T @ (held_jacobian + free_jacobian @ sensitivity)
+    covariance = np.linalg.inv((precision + precision.T) / 2 + np.eye(held_jacobian.shape[1]))
+    pull = held_jacobian.T @ residuals + sensitivity.T @ gradient
+    mean = np.clip(-covariance @ pull, -MAX_HELD_SHIFT, MAX_HELD_SHIFT)
     return np.asarray(covariance + np.outer(mean, mean), np.float64)
 
 
 def _covariance(jacobian: Array, residuals: Array, blocks: NDArray[np.int64], prior: Array, width: Array) -> Array:
-    """Return H^-1 (sum over blocks of g g' + prior) H^-1, with a block's gradient g = J' r and H = J' J + prior.
+    """Return the sandwich covariance (n, n) of a fit, robust to residuals that are correlated within time blocks.
 
-    White, Econometrica 48 (1980), by blocks of time as in Newey and West (1987): valid also where residuals of
-    neighbouring times correlate, as those of a model that is a little wrong do. It is at least H^-1 itself, which
-    independent residuals of unit size give. The prior includes the bounds' width (n,): unknowns that do not affect the
-    residuals vary within it, and take nothing from the accuracy of the others.
+    H^-1 (sum over blocks of g g' + prior) H^-1, with a block's gradient g = J' r and H = J' J + prior: White,
+    Econometrica 48 (1980), with time blocks as in Newey and West (1987). It stays valid if neighbouring residuals
+    correlate, as they do with a slightly wrong model. Its diagonal is at least the diagonal of H^-1, the covariance
+    for independent residuals of unit variance. The prior includes the width of the bounds (n,): unknowns that do not
+    affect the residuals vary within it and do not reduce the accuracy of the others.
     """
     hessian = jacobian.T @ jacobian + prior
     weighted = jacobian * residuals[:, None]

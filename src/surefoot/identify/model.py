@@ -1,7 +1,7 @@
-"""The model of all fits: recorded readings beside those that candidates have in their place.
+"""The residual model of all fits: predicted minus recorded readings of candidate parameter sets.
 
-The folders rack, traces and logs supply `Observations`: functions that predict readings, by replay or by the
-motors' law alone, and the noise of each reading.
+The packages `rack` and `motion` supply `Observations`: functions that predict readings, either by replaying commands in
+simulation or from the motor model without a simulation, and the noise of each reading.
 """
 
 from __future__ import annotations
@@ -18,55 +18,55 @@ from surefoot.identify.result import indexed_name
 from surefoot.robot import PhysicalParams
 
 BLOCK = 0.25
-"""Length [s] of the blocks of time within which residuals may correlate."""
+"""Length [s] of the time blocks within which residuals may be correlated."""
 TORQUE_GAIN = "torque_gain"
-"""Unknown relative error of a motor's torque report; no parameter of a simulation."""
+"""Unknown relative error of a motor's torque report; not a parameter of the simulation."""
 GAIN_DEVIATION = 0.01
-"""Standard deviation of that error: a current sense resistor of 1 %. It gives the scale of all forces: motion alone
-does not distinguish a strong motor on heavy legs from a weak one on light legs."""
+"""Standard deviation of the relative error of torque reports: a current sense resistor of 1 %. It sets the scale of all
+forces, because motion does not distinguish a strong motor on heavy legs from a weak one on light legs."""
 _BLOCKS_PER_RECORDING = 1_000_000
 
 Nuisance = Mapping[tuple[str, int | None], Array]
-"""Values (K,) of unknowns that are no physical parameters, by name and index."""
+"""Values (K,) of the unknowns that are not physical parameters, by name and index."""
 
 
 @dataclass(frozen=True)
 class Unknown:
-    """A number to estimate."""
+    """An unknown of a fit, with its bounds and prior."""
 
     name: str
-    """Physical parameter, or another number that the model needs."""
+    """Name of a physical parameter, or of another number that the model needs."""
     start: float
     low: float
     high: float
     step: float
-    """Of finite differences: small beside what matters, large beside rounding."""
+    """Step of finite differences: small compared with relevant changes, large compared with rounding errors."""
     index: int | None = None
-    """Motor, axis or recording, if the number is not one for all."""
+    """Index of the motor, axis or recording that the unknown belongs to; None if it is shared by all."""
     prior: float | None = None
-    """Standard deviation of the prior around `start`; None: there is no prior."""
+    """Standard deviation of the prior around `start`, or None without a prior."""
     colour: int | None = None
-    """Unknowns of one colour affect different residuals, so that one candidate has all their steps."""
+    """Group for the Jacobian: unknowns of one colour affect different residuals, so one candidate perturbs them all."""
     affects: tuple[str, int] | None = None
-    """Label and value of the readings that it affects, see `Observations.labels`; None: all."""
+    """Label and value of the readings that the unknown affects, see `Observations.labels`; None: all readings."""
     motors: tuple[int, ...] = ()
-    """Motors that share the number; all of them, or the one of `index`, if left out."""
-    whose: str = ""
-    """The motors or axis for people, such as "hip joints"."""
+    """Motors that share the value. Defaults to all motors, or to the motor `index`."""
+    part_name: str = ""
+    """Name of the motors or axis for messages, such as "hip joints"."""
 
     @property
     def label(self) -> str:
-        """Name with the motors or axis, or the index."""
-        return f"{self.name} of {self.whose}" if self.whose else indexed_name(self.name, self.index)
+        """Name with the motors or axis, or with the index."""
+        return f"{self.name} of {self.part_name}" if self.part_name else indexed_name(self.name, self.index)
 
     @property
     def prior_deviation(self) -> float:
-        """Standard deviation before a fit: that of the prior, or a quarter of the bounds."""
+        """Standard deviation before a fit: the prior's, or a quarter of the width of the bounds without a prior."""
         return self.prior if self.prior is not None else (self.high - self.low) / 4
 
 
 def candidate_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) -> PhysicalParams:
-    """Return one row of `base` for each of K candidates (K, n), with their physical parameters."""
+    """Return the physical parameters of K candidates (K, n): the first row of `base`, with their values inserted."""
     params = base.rows(np.zeros(len(values), np.int64))
     for unknown, column in zip(unknowns, values.T, strict=True):
         if unknown.name in PhysicalParams.names():
@@ -80,32 +80,32 @@ def candidate_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: 
 
 @dataclass(frozen=True, eq=False)
 class Observations:
-    """Readings of one recording, as arrays of a common shape S, or of shapes that broadcast to it."""
+    """Readings of one recording that a fit compares, as arrays of shape S or of shapes that broadcast to it."""
 
     errors: Callable[[PhysicalParams, Nuisance], Array]
-    """Returns predicted less recorded readings (K, *S) of K candidates."""
+    """Function that returns predicted minus recorded readings (K, *S) of K candidates."""
     noise: Array
-    """Standard deviations; infinite where readings are not compared."""
+    """Standard deviations of the readings; infinite where readings are not compared."""
     time: Array
-    """[s]"""
+    """Time of the readings [s]."""
     labels: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
-    """Numbers that say which unknowns affect a reading, such as its motor."""
+    """Integer labels of the readings, such as the motor, by which unknowns name the readings that they affect."""
 
 
-def _as_given(values: Array) -> Array:
+def _identity(values: Array) -> Array:
     return values
 
 
 class ReplayModel:
-    """Residuals of candidates against observations: what `fitting.fit_least_squares` fits.
+    """Residuals of candidate parameter sets, which `fitting.fit_least_squares` minimizes.
 
     Args:
-        unknowns: what is to be estimated.
-        prior: all other parameters, one row.
-        observations: of one recording each; with all labels that unknowns name.
-        batch: number of candidates that are predicted at once; all, if not given.
-        limit: greatest residual; it stands for predictions that diverge, too.
-        params_of: returns the parameters of candidates, as `candidate_params` does.
+        unknowns: parameters to estimate.
+        prior: values of all other parameters, one row.
+        observations: one entry per recording, with every label that the unknowns refer to.
+        batch: number of candidates that are predicted at once. Defaults to all.
+        limit: maximum absolute residual; predictions that diverge get this residual.
+        make_params: function that returns the parameters of candidates. Defaults to `candidate_params`.
     """
 
     def __init__(
@@ -115,13 +115,13 @@ class ReplayModel:
         observations: Sequence[Observations],
         batch: int | None = None,
         limit: float = np.inf,
-        params_of: Callable[[PhysicalParams, Sequence[Unknown], Array], PhysicalParams] = candidate_params,
+        make_params: Callable[[PhysicalParams, Sequence[Unknown], Array], PhysicalParams] = candidate_params,
     ) -> None:
         self.unknowns: Sequence[Unknown] = tuple(unknowns)
         self._all = self.unknowns
-        self._complete: Callable[[Array], Array] = _as_given
+        self._insert_held: Callable[[Array], Array] = _identity
         self.prior, self.observations = prior, observations
-        self._batch, self._limit, self._params_of = batch, limit, params_of
+        self._batch, self._limit, self._make_params = batch, limit, make_params
         self._compared = [np.isfinite(one.noise) for one in observations]
         self.blocks: NDArray[np.int64] = np.concatenate(
             [
@@ -129,14 +129,14 @@ class ReplayModel:
                 for k, one in enumerate(observations)
             ]
         )
-        """Number of the block of time of each residual (m,): residuals of different blocks are independent."""
+        """Index of the time block of each residual (m,); residuals of different blocks are taken as independent."""
 
     def _select(self, number: int, values: NDArray[np.int64]) -> NDArray[np.int64]:
         compared = self._compared[number]
         return np.broadcast_to(values, compared.shape)[compared]
 
     def affected(self, unknown: int) -> NDArray[np.bool_] | None:
-        """Return which residuals (m,) an unknown affects; None: all."""
+        """Return a mask (m,) of the residuals that an unknown affects, or None if it affects all."""
         affects = self.unknowns[unknown].affects
         if affects is None:
             return None
@@ -144,23 +144,23 @@ class ReplayModel:
         return np.concatenate([self._select(k, one.labels[label]) for k, one in enumerate(self.observations)]) == value
 
     def nuisance(self, values: Array) -> Nuisance:
-        """Return the values of candidates (K, n), held ones included, that are no physical parameters."""
+        """Return the values of candidates (K, n), including held ones, that are not physical parameters."""
         names = PhysicalParams.names()
         return {(u.name, u.index): values[:, i] for i, u in enumerate(self._all) if u.name not in names}
 
-    def holding(self, free: NDArray[np.bool_], values: Array) -> ReplayModel:
-        """Return the model of some of the unknowns (n,); the others keep their values (n,)."""
-        columns, before = np.flatnonzero(free).tolist(), self._complete
+    def restrict(self, free: NDArray[np.bool_], values: Array) -> ReplayModel:
+        """Return the model of the free unknowns only (mask (n,)); the others are held at `values` (n,)."""
+        columns, insert_outer = np.flatnonzero(free).tolist(), self._insert_held
 
-        def complete(some: Array) -> Array:
-            whole = np.tile(values, (len(some), 1))
-            whole[:, columns] = some
-            return before(whole)
+        def insert_held(free_values: Array) -> Array:
+            all_values = np.tile(values, (len(free_values), 1))
+            all_values[:, columns] = free_values
+            return insert_outer(all_values)
 
-        held = copy(self)
-        held.unknowns = [self.unknowns[i] for i in columns]
-        held._complete = complete
-        return held
+        restricted = copy(self)
+        restricted.unknowns = [self.unknowns[i] for i in columns]
+        restricted._insert_held = insert_held
+        return restricted
 
     def residuals(self, values: Array) -> Array:
         """Return the residuals (K, m) of K candidates (K, n), in standard deviations."""
@@ -171,8 +171,8 @@ class ReplayModel:
         return residuals
 
     def _residuals(self, values: Array) -> Array:
-        values = self._complete(values)
-        params, nuisance = self._params_of(self.prior, self._all, values), self.nuisance(values)
+        values = self._insert_held(values)
+        params, nuisance = self._make_params(self.prior, self._all, values), self.nuisance(values)
         return np.concatenate(
             [
                 (one.errors(params, nuisance) / one.noise)[:, compared]

@@ -1,4 +1,4 @@
-"""A motor that follows a sine on the rack, simulated with each model of the motor (Tan et al. 2018, fig. 4)."""
+"""Comparison of motor models: one motor follows a sine on the rack (Tan et al. 2018, fig. 4)."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from surefoot.world.interface import ACTUATORS, SimulationFactory, WorldConfig
 
 COLUMNS = ("time", "target", "angle")
 LEAD_IN = 0.5
-"""Time [s] for which the first target is held before the clock starts, so that every model starts at rest."""
+"""Time [s] for which the first target is held before the log begins, so that every model starts at rest."""
 
 
 @dataclass(frozen=True)
 class MotorLog:
-    """One motor's recording; arrays (T,)."""
+    """Log of one motor, T rows."""
 
     name: str
-    """Where it comes from."""
+    """Name of the file or signal."""
     time: Array
-    """Rising [s]."""
+    """Rising times (T,) [s]."""
     target: Array
-    """Commanded angle from this time on [rad]."""
+    """Angle commanded from this time on (T,) [rad]."""
     angle: Array
-    """Measured angle [rad]; NaN where there is none."""
+    """Measured angle (T,) [rad]; NaN where nothing was measured."""
 
     def __post_init__(self) -> None:
-        """Refuse too few rows, and times or targets that are not finite or do not rise."""
+        """Reject fewer than two rows, non-finite times or targets, and times that do not rise."""
         if len(self.time) < 2:
             raise SurefootError(f"motor log {self.name}: has {len(self.time)} rows; it takes 2 or more")
         if not np.isfinite(self.time).all() or not np.isfinite(self.target).all():
@@ -44,14 +44,14 @@ class MotorLog:
             raise SurefootError(f"motor log {self.name}: times must rise")
 
     def error(self, simulated: Array) -> float:
-        """Return the RMS [rad] of simulated (T,) less measured angles; less targets where nothing was measured."""
+        """Return the RMS error [rad] of simulated angles (T,) to measured ones, or to targets if none was measured."""
         measured = np.isfinite(self.angle)
         errors = (simulated - self.angle)[measured] if measured.any() else simulated - self.target
         return float(np.sqrt(np.mean(np.square(errors))))
 
     @classmethod
     def sine(cls, middle: float, amplitude: float, frequency: float, duration: float, step: float) -> MotorLog:
-        """Return a target without a measurement: `middle` + `amplitude` sin(2 pi `frequency` t), every `step` [s]."""
+        """Return the targets `middle` + `amplitude` sin(2 pi `frequency` t) every `step` [s], without measurements."""
         time: Array = step * np.arange(round(duration / step) + 1, dtype=np.float64)
         target: Array = middle + amplitude * np.sin(2 * np.pi * frequency * time)
         return cls("sine", time, target, np.full(len(time), np.nan))
@@ -61,7 +61,7 @@ class MotorLog:
         """Read a CSV file with the columns time [s], target [rad] and angle [rad].
 
         Raises:
-            SurefootError: a file that can't be read or is no such table.
+            SurefootError: the file can't be read or lacks these columns.
         """
         where = f"motor log {path}"
         with describe_os_errors(where), prefix_errors(where):
@@ -72,7 +72,7 @@ class MotorLog:
         return cls(str(path), *(columns[name] for name in COLUMNS))
 
     def write(self, path: Path) -> Path:
-        """Write a CSV file that `read` reads."""
+        """Write the log as a CSV file that `read` reads."""
         path.parent.mkdir(parents=True, exist_ok=True)
         rows = np.stack([self.time, self.target, self.angle], axis=1)
         np.savetxt(path, rows, "%.6f", ",", "\r\n", ",".join(COLUMNS), comments="")
@@ -80,7 +80,11 @@ class MotorLog:
 
 
 def motor_index(robot: RobotDescription, motor: str) -> int:
-    """Return the index of a motor; refuse an unknown name."""
+    """Return the index of a motor by name.
+
+    Raises:
+        SurefootError: the name is unknown.
+    """
     if motor not in robot.motor_names:
         raise SurefootError(f"motor '{motor}' does not exist; {suggest(motor, robot.motor_names)}")
     return robot.motor_names.index(motor)
@@ -93,24 +97,24 @@ def run_motor_experiment(
     index: int,
     params: Mapping[str, float] | None = None,
 ) -> dict[str, Array]:
-    """Simulate one motor on the rack that follows a log's targets, with each model of the motor; the others hold.
+    """Simulate a log's targets on one motor of a robot on the rack with each actuator model; other motors hold.
 
     Args:
-        robot: the robot.
-        make_world: makes the simulation.
-        log: targets, and what was measured.
-        index: of the motor.
-        params: physical parameters that differ from the robot's description.
+        robot: robot description.
+        make_world: factory of the simulation.
+        log: targets and measured angles.
+        index: index of the motor.
+        params: physical parameters that differ from the robot description.
 
     Returns:
-        By actuator, the motor's true angle at the log's times (T,) [rad].
+        True angle of the motor at the log's times (T,) [rad], by actuator model.
     """
     step = robot.timing.servo_step
-    # A command for every servo step: the targets come with the log's own timing.
+    # One command per servo step, so that targets keep the timing of the log.
     nominal = PhysicalParams.nominal(robot).with_values(robot, **{**(params or {}), "control_step": step})
     clock = log.time - log.time[0]
     lead_in, ticks = round(LEAD_IN / step), math.ceil(clock[-1] / step) + 1
-    # The newest target at each servo step, with a margin against rounding.
+    # Index of the newest target at each servo step, with a margin for rounding.
     newest = np.searchsorted(clock, np.arange(ticks) * step + 1e-9, side="right") - 1
     angles = {}
     for actuator in ACTUATORS:

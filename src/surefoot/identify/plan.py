@@ -1,4 +1,4 @@
-"""The plan of an experiment: phases with their signals, and limits that end it early."""
+"""Plan of an experiment: phases with command signals, and limits that stop the experiment early."""
 
 from __future__ import annotations
 
@@ -15,73 +15,74 @@ from surefoot.deploy.poses import minimum_jerk
 
 Use = Literal["fit", "check", "transition"]
 Signal = Callable[[float, Array], Array]
-"""Command of the motors (M,) at a time since the phase's start [s], from the last command of the phase before."""
+"""Function (time since the start of the phase [s], last command of the previous phase (M,)) -> motor command (M,)."""
 FADE = 0.2
-"""Time [s] in which sines grow to their amplitude, and fade at the end."""
+"""Time [s] in which sines fade in, and fade out at the end."""
 
 
 @dataclass(frozen=True)
 class Phase:
-    """A part of an experiment with one kind of command."""
+    """A phase of an experiment, with one kind of command."""
 
     name: str
-    what: str
-    """Motion of the robot, for people beside it."""
+    description: str
+    """Motion of the robot, in words for the operator."""
     duration: float
-    """Length [s]."""
+    """Duration [s]."""
     signal: Signal
-    """Motor angles [rad] if the mode is `POSITION`, duties if it is `PWM`."""
+    """Command: motor angles [rad] in mode `POSITION`, duties in mode `PWM`."""
     mode: Mode = Mode.POSITION
     use: Use = "fit"
-    """fit: readings are fitted; check: held out for a check; transition: between poses, not used."""
+    """What its readings are used for. fit: fitted; check: held out as a check; transition: a pose change, not used."""
 
 
 @dataclass(frozen=True)
 class ExperimentLimits:
-    """When an experiment ends early, with motors damped."""
+    """Limits beyond which an experiment stops early and damps all motors."""
 
     torque: float
-    """Torque [N m] that a motor may exceed for `torque_time`."""
-    angle_room: float = 0.7
-    """Distance [rad] of a motor from the plan's angles."""
+    """Motor torque [N m] that may be exceeded for `torque_time` at most."""
+    angle_margin: float = 0.7
+    """Maximum distance [rad] of a motor from the range of the plan's angles."""
     torque_time: float = 0.4
-    """[s]"""
+    """Maximum time above `torque` [s]."""
     temperature: float = 70.0
-    """Motor temperature [degC]."""
+    """Maximum motor temperature [degC]."""
     duration: float = 600.0
-    """Robot time [s]."""
+    """Maximum duration of the experiment on the robot's clock [s]."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A planned experiment."""
+    """Plan of an experiment on a robot with M motors."""
 
     experiment: str
+    """Name of the experiment."""
     rack: bool
     """Whether the robot hangs in the air; otherwise it sits on the ground."""
     phases: tuple[Phase, ...]
     angle_low: Array
-    """Least commanded motor angles (M,) [rad]."""
+    """Minimum commanded motor angles (M,) [rad]."""
     angle_high: Array
-    """Greatest ones."""
+    """Maximum commanded motor angles (M,) [rad]."""
     largest_duty: float
-    """Of PWM commands."""
+    """Maximum duty of PWM commands."""
     limits: ExperimentLimits
 
     @property
     def duration(self) -> float:
-        """Robot time from arming to disarming [s]."""
+        """Duration from arming to disarming, on the robot's clock [s]."""
         return sum(phase.duration for phase in self.phases)
 
 
 def go_to(target: Array, duration: float) -> Signal:
-    """Return a smooth motion from the last command to `target` (M,) [rad]."""
+    """Return a minimum-jerk motion from the last command to `target` (M,) [rad]."""
     return lambda t, start: minimum_jerk(start, target, t / duration)
 
 
-def transition(name: str, what: str, duration: float, target: Array, motion: float | None = None) -> Phase:
-    """Return a phase that leads to `target` (M,) [rad], within the time `motion` [s] if it is not the whole phase."""
-    return Phase(name, what, duration, go_to(target, motion or duration), use="transition")
+def transition(name: str, description: str, duration: float, target: Array, motion: float | None = None) -> Phase:
+    """Return a transition phase to `target` (M,) [rad]; the motion takes `motion` [s], by default the whole phase."""
+    return Phase(name, description, duration, go_to(target, motion or duration), use="transition")
 
 
 def hold(target: Array) -> Signal:
@@ -90,9 +91,9 @@ def hold(target: Array) -> Signal:
 
 
 def chirps(middle: Array, amplitude: Array, first: float, last: float, duration: float, phase: Array) -> Signal:
-    """Return sines that fade in and out, and whose frequency [Hz] grows exponentially from `first` to `last`.
+    """Return exponential chirps from frequency `first` to `last` [Hz] that fade in and out.
 
-    Each motor has its own middle, amplitude and phase (M,) [rad]; the duration is in [s].
+    Each motor has its own centre, amplitude and phase angle (M,) [rad]; the duration is in [s].
     """
 
     def signal(t: float, start: Array) -> Array:
@@ -104,12 +105,12 @@ def chirps(middle: Array, amplitude: Array, first: float, last: float, duration:
 
 
 def sweep(t: float, first: float, last: float, duration: float) -> tuple[float, float]:
-    """Return the phase angle [rad] of a sine of exponentially growing frequency, and its fading from 0 to 1."""
+    """Return the phase angle [rad] and the fade factor (0 to 1) of an exponential chirp at time t [s]."""
     rate = math.log(last / first) / duration
     angle = 2 * math.pi * first * (math.expm1(rate * t) / rate if rate else t)
     return angle, min(1.0, t / FADE, max(duration - t, 0.0) / FADE)
 
 
 def steps(values: Array, period: float) -> Signal:
-    """Return the rows of `values` (K, M) one after the other, each for a period [s]."""
+    """Return steps through the rows of `values` (K, M), each held for one period [s]."""
     return lambda t, start: values[min(int(t / period + 1e-9), len(values) - 1)]

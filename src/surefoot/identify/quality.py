@@ -1,4 +1,4 @@
-"""Checks of a recording before its fit: missing states, clocks that jump, readings that can't be true."""
+"""Checks of a recording before it is fitted: missing states, clock jumps, implausible readings."""
 
 from __future__ import annotations
 
@@ -8,42 +8,42 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
-from surefoot.identify.recording import STILL, Recording
+from surefoot.identify.recording import STILL_DEVIATION, Recording
 from surefoot.robot import RobotDescription
 
 Mask = NDArray[np.bool_]
 
 MIN_LENGTH = 2.0
-"""Shortest recording [s]."""
+"""Minimum length of a recording [s]."""
 MIN_COVERAGE = 0.5
-"""Share of a phase with states."""
+"""Minimum fraction of a phase that is covered by states."""
 MAX_LOSS = 0.05
-"""Share of states, or of frames, that may be lost."""
+"""Maximum fraction of states, or of frames, that may be lost."""
 NOTED_LOSS = 0.01
-"""Share of lost states from which a note is given."""
-GAP = 1.5
-"""Periods between two states beyond which one is lost."""
+"""Fraction of lost states above which a note is returned."""
+MAX_GAP_PERIODS = 1.5
+"""Number of periods between two states above which a state is counted as lost."""
 MAX_CLOCK_SHIFT = 0.1
-"""Deviation of robot's and host's clocks from even drift [s]."""
-MAX_STUCK = 0.1
-"""Share of the time in which a motor is moved for which a reading may stand still."""
+"""Maximum deviation of the offset between the robot's and the host's clock from linear drift [s]."""
+MAX_STUCK_FRACTION = 0.1
+"""Maximum fraction of a motor's commanded motion during which a reading may be constant."""
 _STUCK_TIME = 0.02
-"""Time [s] without change from which an angle stands still: a few readings are equal at every turn."""
+"""Time [s] without change after which an angle counts as stuck: a few readings are equal at every reversal."""
 _MOVING_SPEED = 0.5
-"""Speed [rad/s] of the target from which a motor is moved."""
-_CEILING_STATES = 3
-"""Equal torques in a row that count as a ceiling."""
+"""Speed [rad/s] of the target above which a motor counts as commanded to move."""
+_SATURATED_STATES = 3
+"""Number of consecutive equal torques that count as saturation."""
 _TORQUE_RESOLUTION = 6e-4
-"""Half of the resolution of torques in states [N m], and a little."""
-_MIN_CEILING = 0.2
-"""Torque [N m] below which nothing is a ceiling."""
+"""Slightly more than half the resolution of torques in states [N m]."""
+_MIN_SATURATION_TORQUE = 0.2
+"""Torque [N m] below which nothing counts as saturation."""
 
 
 def check_recording(recording: Recording, robot: RobotDescription) -> tuple[str, ...]:
-    """Refuse a recording whose fit would be wrong; return notes on defects that are tolerable.
+    """Reject a recording with defects that would spoil a fit; return notes on tolerable defects.
 
     Raises:
-        SurefootError: the defect, with its number and the rule.
+        SurefootError: the recording has such a defect; the message states the value and the limit.
     """
     _check_finite(recording, robot)
     _check_length(recording)
@@ -53,19 +53,19 @@ def check_recording(recording: Recording, robot: RobotDescription) -> tuple[str,
     return notes
 
 
-def _error(text: str) -> SurefootError:
-    return SurefootError(f"the recording can't be fitted: {text}")
+def _error(reason: str) -> SurefootError:
+    return SurefootError(f"the recording can't be fitted: {reason}")
 
 
 def _check_finite(recording: Recording, robot: RobotDescription) -> None:
     for name in ("time", "host_time", "sent_time", "roll_pitch_yaw", "angular_velocity_base", "voltage"):
         if not np.isfinite(getattr(recording, name)).all():
-            raise _error(f"{name} has values that are not finite; all must be")
+            raise _error(f"{name} has values that are not finite; all must be finite")
     for name in ("motor_angle", "motor_velocity", "motor_torque", "temperature", "sent_value"):
         bad = ~np.isfinite(getattr(recording, name)).all(axis=0)
         if bad.any():
             motor = robot.motor_names[int(np.argmax(bad))]
-            raise _error(f"{name} of {motor} has values that are not finite; all must be")
+            raise _error(f"{name} of {motor} has values that are not finite; all must be finite")
 
 
 def _check_length(recording: Recording) -> None:
@@ -74,10 +74,10 @@ def _check_length(recording: Recording) -> None:
     phases = recording.meta["phases"]
     for k in recording.phases("fit", "check"):
         states = recording.phase_states(k)
-        share = (states.stop - states.start) / (float(phases[k]["duration"]) / recording.period)
-        if share < MIN_COVERAGE:
+        coverage = (states.stop - states.start) / (float(phases[k]["duration"]) / recording.period)
+        if coverage < MIN_COVERAGE:
             raise _error(
-                f"phase '{phases[k]['name']}' ({k + 1} of {len(phases)}) has {share:.0%} of its states; "
+                f"phase '{phases[k]['name']}' ({k + 1} of {len(phases)}) has {coverage:.0%} of its states; "
                 f"at least {MIN_COVERAGE:.0%}"
             )
 
@@ -87,50 +87,50 @@ def _check_clocks(recording: Recording) -> None:
         steps = np.diff(getattr(recording, name))
         if len(steps) and steps.min() < 0:
             at = getattr(recording, name)[int(np.argmin(steps))]
-            raise _error(f"the {whose} clock goes back by {-steps.min():.3f} s at {at:.3f} s; it must not")
-    # Two quartzes drift evenly apart; the rest is the time of transmission, and jumps.
+            raise _error(f"the {whose} clock goes back by {-steps.min():.3f} s at {at:.3f} s; it must not go back")
+    # Two quartz clocks drift apart linearly; what remains is transmission time and jumps.
     time, offset = recording.time - recording.time[0], recording.host_time - recording.time
-    left = offset - np.polyval(np.polyfit(time, offset, 1), time)
-    if np.ptp(left) > MAX_CLOCK_SHIFT:
+    remainder = offset - np.polyval(np.polyfit(time, offset, 1), time)
+    if np.ptp(remainder) > MAX_CLOCK_SHIFT:
         jumps = np.diff(offset)
         worst = int(np.argmax(np.abs(jumps)))
         raise _error(
-            f"the clocks of robot and host shift by {np.ptp(left):.3f} s against each other, by {jumps[worst]:+.3f} s "
-            f"at once at {recording.time[worst]:.3f} s of the robot's; at most {MAX_CLOCK_SHIFT:g}"
+            f"the offset between the clocks of robot and host changes by {np.ptp(remainder):.3f} s, with a jump of "
+            f"{jumps[worst]:+.3f} s at {recording.time[worst]:.3f} s of the robot's clock; at most {MAX_CLOCK_SHIFT:g}"
         )
 
 
 def _check_loss(recording: Recording) -> tuple[str, ...]:
     frames = recording.meta["frames"]
-    gone = int(frames["missing"]) + int(frames["damaged"])
-    share = gone / max(int(frames["received"]) + gone, 1)
-    if share > MAX_LOSS:
-        raise _error(f"{gone} frames, {share:.1%}, were lost or damaged on the link; at most {MAX_LOSS:.0%}")
+    lost_frames = int(frames["missing"]) + int(frames["damaged"])
+    loss = lost_frames / max(int(frames["received"]) + lost_frames, 1)
+    if loss > MAX_LOSS:
+        raise _error(f"{lost_frames} frames, {loss:.1%}, were lost or damaged on the link; at most {MAX_LOSS:.0%}")
     lost, states = 0, 0
     for k in recording.phases("fit", "check"):
         gaps = np.diff(recording.time[recording.phase_states(k)]) / recording.period
-        lost += int(np.sum(np.maximum(np.round(gaps[gaps > GAP]) - 1, 0)))
+        lost += int(np.sum(np.maximum(np.round(gaps[gaps > MAX_GAP_PERIODS]) - 1, 0)))
         states += len(gaps)
-    share = lost / max(states + lost, 1)
-    text = f"{lost} states, {share:.1%}, are missing between others"
-    if share > MAX_LOSS:
-        raise _error(f"{text}; at most {MAX_LOSS:.0%}")
-    return (text,) if share > NOTED_LOSS else ()
+    loss = lost / max(states + lost, 1)
+    message = f"{lost} states, {loss:.1%}, are missing between others"
+    if loss > MAX_LOSS:
+        raise _error(f"{message}; at most {MAX_LOSS:.0%}")
+    return (message,) if loss > NOTED_LOSS else ()
 
 
 def _check_motion(recording: Recording, robot: RobotDescription) -> tuple[str, ...]:
     still = sorted(recording.still_motors)
     if len(still) == recording.num_motors:
-        raise _error(f"no motor moves by more than {1e3 * STILL:g} mrad; are the motors powered?")
+        raise _error(f"no motor moves by more than {1e3 * STILL_DEVIATION:g} mrad; are the motors powered?")
     return tuple(
-        f"{robot.motor_names[motor]} never moves (its angle varies by less than {1e3 * STILL:g} mrad): its parameters "
-        "are not identifiable"
+        f"{robot.motor_names[motor]} never moves (its angle varies by less than {1e3 * STILL_DEVIATION:g} mrad): its "
+        "parameters are not identifiable"
         for motor in still
     )
 
 
 def _check_readings(recording: Recording, robot: RobotDescription) -> None:
-    """Refuse readings that stand still while their motor moves, or is commanded to."""
+    """Reject readings that are constant while their motor moves or is commanded to move."""
     moved, driven = _driven_motors(recording)
     phases = [recording.phase_states(k) for k in recording.phases("fit", "check")]
     fitted = np.concatenate([np.arange(part.start, part.stop) for part in phases]) if phases else np.arange(0)
@@ -140,33 +140,34 @@ def _check_readings(recording: Recording, robot: RobotDescription) -> None:
             recording.motor_angle[:, motor],
             recording.motor_torque[:, motor],
         )
-        for what, unit in (("velocity", "rad/s"), ("torque", "N m")):
-            values = getattr(recording, f"motor_{what}")[fitted, motor]
+        for quantity, unit in (("velocity", "rad/s"), ("torque", "N m")):
+            values = getattr(recording, f"motor_{quantity}")[fitted, motor]
             if len(values) and np.ptp(values) == 0:
-                raise _error(f"{name} moves, and its {what} is {values[0]:g} {unit} all the time")
+                raise _error(f"{name} moves, but its {quantity} is always {values[0]:g} {unit}")
         stuck = moved[:, motor] & (_run_lengths(angle) > _STUCK_TIME / recording.period)
-        share = stuck.sum() / max(moved[:, motor].sum(), 1)
-        if share > MAX_STUCK:
+        fraction = stuck.sum() / max(moved[:, motor].sum(), 1)
+        if fraction > MAX_STUCK_FRACTION:
             at = float(np.median(angle[stuck]))
-            ends = {", at its greatest,": angle[fitted].max(), ", at its least,": angle[fitted].min()}
-            end = next((text for text, value in ends.items() if np.isclose(at, value)), "")
+            extremes = {" its maximum of": angle[fitted].max(), " its minimum of": angle[fitted].min()}
+            end = next((text for text, value in extremes.items() if np.isclose(at, value)), "")
             raise _error(
-                f"the angle of {name} stands still{end} at {at:.3f} rad for {share:.0%} of the time in which it is "
-                f"moved; at most {MAX_STUCK:.0%}: encoder, or something in the way"
+                f"the angle of {name} stays at{end} {at:.3f} rad for {fraction:.0%} of the time in which it is "
+                f"commanded to move; at most {MAX_STUCK_FRACTION:.0%}: check the encoder, and whether something blocks "
+                "the leg"
             )
-        ceiling = float(np.abs(torque[fitted]).max())
-        high = driven[:, motor] & (np.abs(torque) > ceiling - _TORQUE_RESOLUTION)
-        high &= _run_lengths(torque, _TORQUE_RESOLUTION) >= _CEILING_STATES
-        share = high.sum() / max(driven[:, motor].sum(), 1)
-        if share > MAX_STUCK and ceiling > _MIN_CEILING:
+        maximum = float(np.abs(torque[fitted]).max())
+        saturated = driven[:, motor] & (np.abs(torque) > maximum - _TORQUE_RESOLUTION)
+        saturated &= _run_lengths(torque, _TORQUE_RESOLUTION) >= _SATURATED_STATES
+        fraction = saturated.sum() / max(driven[:, motor].sum(), 1)
+        if fraction > MAX_STUCK_FRACTION and maximum > _MIN_SATURATION_TORQUE:
             raise _error(
-                f"the torque of {name} is at a ceiling of {ceiling:.3f} N m for {share:.0%} of the time in which it is "
-                f"driven; at most {MAX_STUCK:.0%}: raise the limit of the current"
+                f"the torque of {name} is saturated at {maximum:.3f} N m for {fraction:.0%} of the time in which it is "
+                f"driven; at most {MAX_STUCK_FRACTION:.0%}: raise the current limit"
             )
 
 
 def _driven_motors(recording: Recording) -> tuple[Mask, Mask]:
-    """Return the states in which each motor is moved by its servo, and in which it is driven, by duties too (T, M)."""
+    """Return masks (T, M) of the states in which each motor is moved by its servo, and is driven by servo or duty."""
     moved = np.zeros_like(recording.motor_angle, np.bool_)
     driven = moved.copy()
     back = max(round(_STUCK_TIME / recording.period), 1)
@@ -183,7 +184,7 @@ def _driven_motors(recording: Recording) -> tuple[Mask, Mask]:
 
 
 def _run_lengths(values: Array, within: float = 0.0) -> NDArray[np.int64]:
-    """Return the length of the run of equal neighbours around each value (T,)."""
+    """Return for each value (T,) the length of the run of equal neighbours that it belongs to."""
     starts = np.concatenate([[True], np.abs(np.diff(values)) > within])
     run = np.cumsum(starts) - 1
     lengths: NDArray[np.int64] = np.bincount(run)[run]

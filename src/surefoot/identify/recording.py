@@ -1,4 +1,4 @@
-"""The recording of an experiment: every command that was sent and every state that came, in a file with a digest."""
+"""Recording of an experiment: all commands sent and all states received, in a file with a digest."""
 
 from __future__ import annotations
 
@@ -16,34 +16,34 @@ from surefoot.columns import column, columns_of
 from surefoot.configuration import Positive, Within, typed_entries
 from surefoot.errors import SurefootError, choices, prefix_errors
 from surefoot.npz import pack_bytes, pop_bytes, pop_meta, read_npz, write_npz
-from surefoot.robot import ROBOT, RobotDescription, carried_robot
+from surefoot.robot import ROBOT_ARRAY, RobotDescription, load_embedded_robot
 
 SCHEMA = 1
-STILL = 0.002
-"""Standard deviation of an angle [rad] below which a motor does not move: a few steps of its encoder."""
+STILL_DEVIATION = 0.002
+"""Standard deviation of an angle [rad] below which a motor counts as still: a few encoder steps."""
 CLOCK_RESOLUTION = 2e-5
-"""Twice the resolution of the times in states [s]."""
+"""Twice the time resolution of states [s]."""
 COMPLETE = "complete"
 _MAX_COMMAND_AGE = 0.6
-"""Greatest age of a command [s] that a state can hold."""
+"""Maximum command age [s] that a state can represent."""
 
 
 @dataclass(frozen=True)
 class RecordedPhase:
-    """A phase of the plan."""
+    """A phase of the plan, as stored in a recording."""
 
     name: str
     mode: float
-    """The robot's mode."""
+    """Mode of the robot."""
     use: str
-    """Fit, check or transition."""
+    """What its readings are used for: fit, check or transition."""
     duration: float
-    """Length [s]."""
+    """Duration [s]."""
 
 
 @dataclass(frozen=True)
 class RecordedFrames:
-    """Counts of frames on the link."""
+    """Numbers of frames on the link."""
 
     received: float
     missing: float
@@ -52,7 +52,7 @@ class RecordedFrames:
 
 @dataclass(frozen=True)
 class RecordingMeta:
-    """Entries of every recording's meta."""
+    """Metadata of a recording."""
 
     experiment: str
     """Name of the experiment."""
@@ -65,55 +65,55 @@ class RecordingMeta:
     phases: tuple[RecordedPhase, ...]
     """Phases of the plan: name, mode, use (fit, check or transition) and duration [s]."""
     mode_changes: tuple[tuple[float, float], ...]
-    """The host's time [s] and the mode of all arming and disarming."""
+    """Time on the host's clock [s] and new mode of each arming and disarming."""
     ended: str
-    """`COMPLETE`, or why not."""
+    """`COMPLETE`, or why the experiment stopped early."""
     period: Positive
     """Time between two commands, and between two states [s]."""
     lead: float
-    """Time by which states are requested before they are needed [s]."""
+    """Time by which the robot sends a state before the host uses it [s]."""
     servo_period: Positive
     """Time between two servo steps [s]."""
     resting_states: Annotated[int, Within(0, 1e9)]
     """Number of states before arming."""
     frames: RecordedFrames
-    """Counts of frames on the link: received, missing and damaged."""
+    """Numbers of frames on the link: received, missing and damaged."""
     date: str
-    """When it was recorded."""
+    """Date of the recording."""
     digest: str
     """SHA-256 over all arrays."""
     firmware: str = ""
-    """What runs on the robot."""
+    """Firmware of the robot."""
     gains: dict[str, tuple[float, ...]] = field(default_factory=dict)
-    """The servos' gains of each motor, as the robot states them."""
+    """Servo gains of each motor, as reported by the robot."""
     schema: Literal[1] = 1
-    """Version of the format."""
+    """Version of the file format."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
-    """An experiment with C commands and T states of a robot with M motors. Robot times are on the robot's clock."""
+    """Recorded experiment: C commands and T states of a robot with M motors."""
 
-    sent_number: Array = column("C", "1", "number of the frame that carried the command")
-    sent_time: Array = column("C", "s", "when it was sent, on the host's clock")
+    sent_number: Array = column("C", "1", "number of the frame with the command")
+    sent_time: Array = column("C", "s", "time of sending the command, on the host's clock")
     sent_phase: Array = column("C", "1", "index of the command's phase")
-    sent_value: Array = column("C, M", "rad or 1", "motor angle or duty, by the phase's mode")
-    time: Array = column("T", "s", "when the robot sent the state")
-    host_time: Array = column("T", "s", "when it arrived, on the host's clock")
-    mode: Array = column("T", "1", "the robot's mode")
+    sent_value: Array = column("C, M", "rad or 1", "motor angle or duty, depending on the mode of the phase")
+    time: Array = column("T", "s", "time of sending the state, on the robot's clock")
+    host_time: Array = column("T", "s", "time of its arrival, on the host's clock")
+    mode: Array = column("T", "1", "mode of the robot")
     command: Array = column("T", "1", "number of the command in effect")
-    command_age: Array = column("T", "s", "time since that arrived at the robot")
+    command_age: Array = column("T", "s", "time since this command arrived at the robot")
     motor_angle: Array = column("T, M", "rad", "angle, delayed by the control latency")
-    motor_velocity: Array = column("T, M", "rad/s", "velocity, equally delayed")
+    motor_velocity: Array = column("T, M", "rad/s", "velocity, with the same delay")
     motor_torque: Array = column("T, M", "N m", "torque, from the currents of the last servo step")
-    roll_pitch_yaw: Array = column("T, 3", "rad", "orientation, delayed as angles are", "world")
-    angular_velocity_base: Array = column("T, 3", "rad/s", "angular velocity, equally delayed", "base")
-    voltage: Array = column("T", "V", "voltage of the battery, without delay")
+    roll_pitch_yaw: Array = column("T, 3", "rad", "orientation, with the same delay", "world")
+    angular_velocity_base: Array = column("T, 3", "rad/s", "angular velocity, with the same delay", "base")
+    voltage: Array = column("T", "V", "battery voltage, without delay")
     temperature: Array = column("T, M", "degC", "temperature of the motor")
     meta: dict[str, Any] = field(default_factory=dict)
-    """The entries of `RecordingMeta`."""
+    """Metadata with the entries of `RecordingMeta`."""
     robot_archive: bytes = b""
-    """The robot's folder as `RobotDescription.archive` has it; empty for a robot that ships."""
+    """Folder of the robot description, as in `RobotDescription.archive`; empty for a built-in robot."""
 
     @property
     def num_motors(self) -> int:
@@ -127,20 +127,20 @@ class Recording:
 
     @property
     def resting(self) -> slice:
-        """States before motors were armed; at least the first one."""
+        """States before the motors were armed; at least the first state."""
         return slice(0, max(int(self.meta["resting_states"]), 1))
 
     def phases(self, *uses: str) -> list[int]:
-        """Return the indices of the phases of some uses: fit, check or transition."""
+        """Return the indices of the phases with the given uses: fit, check or transition."""
         return [k for k, phase in enumerate(self.meta["phases"]) if phase["use"] in uses]
 
     def servo_step(self, times: Array) -> NDArray[np.int64]:
-        """Return the number of the first servo step that begins at times [s] of the robot's clock or later."""
+        """Return the index of the first servo step that begins at or after times [s] on the robot's clock."""
         return np.ceil((times - CLOCK_RESOLUTION) / float(self.meta["servo_period"])).astype(np.int64)
 
     @property
     def duration(self) -> float:
-        """Robot time from the first state to the last [s]."""
+        """Time from the first to the last state on the robot's clock [s]."""
         return float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
 
     @property
@@ -150,39 +150,39 @@ class Recording:
 
     @cached_property
     def clock_offset(self) -> float:
-        """Median of a command's arrival on the robot's clock less its sending on the host's [s]."""
+        """Median of the arrival time of commands (robot's clock) minus their sending time (host's clock) [s]."""
         offsets = self._reported_arrival - self.sent_time
         return float(np.nanmedian(offsets)) if np.isfinite(offsets).any() else 0.0
 
     @cached_property
     def arrival(self) -> Array:
-        """When each command arrived at the robot (C,) [s]: as states report, else by the clocks' offset."""
+        """Arrival time of each command on the robot's clock (C,) [s]: as states report, else from `clock_offset`."""
         reported = self._reported_arrival
         return np.where(np.isfinite(reported), reported, self.sent_time + self.clock_offset)
 
     @cached_property
     def _reported_arrival(self) -> Array:
-        """When each command arrived at the robot (C,) [s], as states report; NaN where none does."""
+        """Arrival time of each command (C,) [s] as reported by states; NaN where no state reports it."""
         arrival = np.full(len(self.sent_number), np.nan)
         place = np.searchsorted(self.sent_number, self.command)
         inside = (place < len(self.sent_number)) & (self.command_age < _MAX_COMMAND_AGE)
         inside[inside] &= self.sent_number[place[inside]] == self.command[inside]
-        # The first state after a command has its age best: the age has a resolution of 10 us.
+        # The first state after a command reports its age most accurately: the age has a resolution of 10 us.
         for index in np.flatnonzero(inside)[::-1]:
             arrival[place[index]] = self.time[index] - self.command_age[index]
         return arrival
 
     @cached_property
     def still_motors(self) -> frozenset[int]:
-        """Motors whose angles hardly change in the fitted phases: their parameters are not identifiable."""
+        """Indices of motors that hardly move in the fitted phases, so that their parameters are not identifiable."""
         driven = np.zeros(len(self.time), np.bool_)
         for k in self.phases("fit"):
             driven[self.phase_states(k)] = True
         spread = self.motor_angle[driven].std(axis=0) if driven.any() else np.zeros(self.num_motors)
-        return frozenset(np.flatnonzero(spread < STILL).tolist())
+        return frozenset(np.flatnonzero(spread < STILL_DEVIATION).tolist())
 
     def phase_states(self, phase: int) -> slice:
-        """Return the states that were sent while commands of a phase were in effect."""
+        """Return the slice of states sent while commands of a phase were in effect."""
         sent = np.flatnonzero(self.sent_phase == phase)
         if not len(sent):
             return slice(0, 0)
@@ -192,19 +192,19 @@ class Recording:
         return slice(*np.searchsorted(self.time, [begin, max(end, last)]).tolist())
 
     def save(self, path: Path) -> Path:
-        """Write an .npz file, whole or not at all."""
+        """Write the recording to an .npz file atomically."""
         arrays = {name: getattr(self, name) for name in columns_of(Recording)}
-        write_npz(path, arrays | pack_bytes(ROBOT, self.robot_archive), self.meta)
+        write_npz(path, arrays | pack_bytes(ROBOT_ARRAY, self.robot_archive), self.meta)
         return path
 
 
-def read_at(moments: Array, times: Array, values: Array) -> Array:
-    """Interpolate the columns of values (T, n) of times (T,) linearly at other moments (K,); returns (K, n)."""
+def interpolate_columns(moments: Array, times: Array, values: Array) -> Array:
+    """Interpolate the columns of `values` (T, n), sampled at `times` (T,), linearly at `moments` (K,) -> (K, n)."""
     return np.stack([np.interp(moments, times, column) for column in values.T], axis=1)
 
 
-def digest_of(arrays: dict[str, Array]) -> str:
-    """Return the SHA-256 over arrays, by name."""
+def digest_arrays(arrays: dict[str, Array]) -> str:
+    """Return the SHA-256 over named arrays, in the order of their names."""
     total = hashlib.sha256()
     for name in sorted(arrays):
         total.update(name.encode())
@@ -213,29 +213,29 @@ def digest_of(arrays: dict[str, Array]) -> str:
 
 
 def recorded_robot(path: Path) -> RobotDescription:
-    """Return the robot that a recording carries, else the one of its name that ships.
+    """Return the robot description stored in a recording, or else the built-in robot of the recorded name.
 
     Raises:
-        SurefootError: the file can't be read, or neither is there.
+        SurefootError: the file can't be read, or has neither a description nor the name of a built-in robot.
     """
     with prefix_errors(f"recording {path}"):
         arrays = read_npz(path)
-        return carried_robot(pop_bytes(arrays, ROBOT), (pop_meta(arrays) or {}).get("robot"))
+        return load_embedded_robot(pop_bytes(arrays, ROBOT_ARRAY), (pop_meta(arrays) or {}).get("robot"))
 
 
 def load_recording(path: Path, robot: RobotDescription, experiment: str | None = None) -> Recording:
     """Read a recording.
 
     Raises:
-        SurefootError: no such file, cut off, damaged, changed, of another schema, robot or experiment, or an experiment
-            that did not come to its end.
+        SurefootError: the file is missing, truncated, damaged, changed, or of another schema, robot or experiment, or
+            the experiment stopped early.
     """
     with prefix_errors(f"recording {path}"):
         arrays = read_npz(path)
         meta = pop_meta(arrays) or {}
         if meta.get("schema") != SCHEMA:
             raise SurefootError(f"has schema {meta.get('schema')}; surefoot reads schema {SCHEMA}")
-        archive = pop_bytes(arrays, ROBOT)
+        archive = pop_bytes(arrays, ROBOT_ARRAY)
         columns = columns_of(Recording)
         if odd := set(columns) ^ set(arrays):
             raise SurefootError(f"missing or unknown: {choices(sorted(odd))}")
@@ -245,9 +245,9 @@ def load_recording(path: Path, robot: RobotDescription, experiment: str | None =
         if experiment is not None and meta["experiment"] != experiment:
             raise SurefootError(f"is of experiment {meta['experiment']}, not {experiment}")
         sizes = {"C": arrays["sent_number"].size, "T": arrays["time"].size, "M": robot.num_motors}
-        arrays = {name: declared.checked(name, arrays[name], sizes) for name, declared in columns.items()}
-        if digest_of(arrays) != meta["digest"]:
-            raise SurefootError("was changed after it was made: its digest does not fit")
+        arrays = {name: declared.validate(name, arrays[name], sizes) for name, declared in columns.items()}
+        if digest_arrays(arrays) != meta["digest"]:
+            raise SurefootError("was changed after it was recorded: its digest does not match")
         if meta["ended"] != COMPLETE:
-            raise SurefootError(f"did not come to its end: {meta['ended']}")
+            raise SurefootError(f"stopped early: {meta['ended']}")
         return Recording(**arrays, meta=meta, robot_archive=archive)

@@ -1,4 +1,4 @@
-"""The experiments: what each measures, its plan and its fit."""
+"""Registry of the experiments: what each measures, its plan and its fit."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from surefoot.robot import PhysicalParams, RobotDescription
 
 @dataclass(frozen=True)
 class Experiment:
-    """An experiment on a robot. Its fit is imported when it runs: the robot's computer has no MuJoCo."""
+    """An experiment on a robot. Its fit is imported when it runs, because the robot's computer has no MuJoCo."""
 
     name: str
-    what: str
-    """What it measures, in a line."""
+    measures: str
+    """Measured quantities, in one line."""
     plan: Callable[[RobotDescription], Plan]
     rack: bool
     """Whether the robot hangs in the air."""
-    before: tuple[str, ...] = ()
-    """Experiments whose results it needs."""
-    joints: bool = False
-    """Whether it is for robots with joint actuators and serial legs; else for DC motors and five-bar legs."""
+    prerequisites: tuple[str, ...] = ()
+    """Names of experiments whose results it needs."""
+    for_joint_actuators: bool = False
+    """Whether it is for robots with joint actuators and serial legs; otherwise for DC motors and five-bar legs."""
 
     def fit(
         self,
@@ -43,18 +43,18 @@ class Experiment:
         """Identify parameters from a recording of this experiment.
 
         Args:
-            robot: its description.
-            recording: of this experiment.
-            prior: all parameters before the experiment, one row.
+            robot: robot description.
+            recording: recording of this experiment.
+            prior: parameters before the experiment, one row.
             sensors: `Identification.sensors` of earlier experiments.
-            report: callback with the fit's progress.
+            report: callback with the progress of the fit.
 
         Raises:
-            SurefootError: data that determine nothing, or a robot on the ground that did not stand.
+            SurefootError: the data determine nothing, or a robot on the ground did not stand.
         """
         notes = check_recording(recording, robot)
         folder = "rack" if self.rack else "ground"
-        module = import_module(f"surefoot.identify.{folder}.{'air_fit' if self.joints else 'fits'}")
+        module = import_module(f"surefoot.identify.{folder}.{'air_fit' if self.for_joint_actuators else 'fits'}")
         result: Identification = getattr(module, f"fit_{self.name}")(robot, recording, prior, sensors or {}, report)
         date = str(recording.meta["date"])
         return replace(result, notes=(*notes, *result.notes), digest=recording.digest, date=date)
@@ -63,12 +63,16 @@ class Experiment:
 EXPERIMENTS = {
     experiment.name: experiment
     for experiment in (
-        Experiment("latency", "age of the readings at the servo and at the computer", latency_plan, True),
-        Experiment("motor", "motors, servo, friction, the legs' mass and inertia, both latencies", motor_plan, True),
+        Experiment("latency", "age of the readings used by the servo and by the computer", latency_plan, True),
+        Experiment("motor", "motors, servo, friction, leg mass and inertia, both latencies", motor_plan, True),
         Experiment("mass", "mass, centre of mass and inertia of the base", mass_plan, False, ("motor",)),
         Experiment("contact", "friction, stiffness and damping of the feet", contact_plan, False, ("motor", "mass")),
         Experiment(
-            "air", "joint actuators, instead: friction, inertia, leg mass, latency", air_plan, True, joints=True
+            "air",
+            "for joint actuators: friction, inertia, leg mass, latency",
+            air_plan,
+            True,
+            for_joint_actuators=True,
         ),
     )
 }

@@ -1,14 +1,14 @@
-"""The result of an identification, merged into the file of a robot's parameters.
+"""File of a robot's identified parameters (robot.toml), into which each identification merges its estimates.
 
     [params]                    values, for `surefoot train --params` and all other commands
-    [sensors]                   properties of sensors that later fits need
-    [intervals]                 NAME = [low, high] of 95 %, or a list of such pairs, one a motor or axis
-    [identified_by]             NAME = "EXPERIMENT" that identified it last
-    [identified.EXPERIMENT]     date and SHA-256 of the data, their file, version of surefoot; of logs, that of each
-    [gains]                     gains of the logs of a robot that gets its gains with every command: for replays of
-                                logs that do not state theirs; a policy keeps its own
+    [sensors]                   sensor properties that later fits need
+    [intervals]                 NAME = [low, high], the 95 % interval, or a list with one such pair per motor or axis
+    [identified_by]             NAME = "EXPERIMENT", the last experiment that identified it
+    [identified.EXPERIMENT]     date, SHA-256 and file of the data, version of surefoot; for logs, the SHA-256 of each
+    [gains]                     gains of the logs, for a robot that receives its gains with every command. Replays of
+                                logs that do not state their gains use them; a policy uses its own gains.
 
-A pair of infinities stands for a motor or axis that was not identified. All else in the file stays.
+A pair of infinities marks a motor or axis that was not identified. All other entries of the file are kept.
 """
 
 from __future__ import annotations
@@ -33,11 +33,10 @@ _TABLES = ("sensors", "intervals", "identified_by", "identified", GAINS_TABLE)
 
 
 def read_prior(path: Path | None, robot: RobotDescription) -> ParamsFile:
-    """Return the parameters before an identification: those of a file, or the nominal ones if there is no file.
+    """Return the parameters before an identification: from the file if it exists, otherwise the nominal parameters.
 
     Raises:
-        SurefootError: a file that can't be read, is another robot's, or has something else under the names of the
-            tables that are written here.
+        SurefootError: the file can't be read or belongs to another robot, or an entry that must be a table is not one.
     """
     if path is None or not path.exists():
         return ParamsFile(PhysicalParams.nominal(robot), ())
@@ -52,12 +51,12 @@ def read_prior(path: Path | None, robot: RobotDescription) -> ParamsFile:
 
 
 def missing_experiments(prior: ParamsFile, experiments: Iterable[str]) -> tuple[str, ...]:
-    """Return those of the experiments whose results a file does not have."""
+    """Return the names of the experiments that have no result in the file."""
     return tuple(name for name in experiments if name not in prior.tables.get("identified", {}))
 
 
-def overlay(prior: ParamsFile, result: Identification, robot: RobotDescription, source: str = "") -> ParamsFile:
-    """Return the prior with the result of an identification in its place; `source` is the file of the data."""
+def merge_estimates(prior: ParamsFile, result: Identification, robot: RobotDescription, source: str = "") -> ParamsFile:
+    """Return the prior parameters updated with the estimates of an identification; `source` names the data file."""
     tables = deepcopy(prior.tables)
     if result.sensors:
         tables["sensors"] = {**tables.get("sensors", {}), **result.sensors}
@@ -68,8 +67,8 @@ def overlay(prior: ParamsFile, result: Identification, robot: RobotDescription, 
         intervals[name] = _interval(result, name, intervals.get(name), robot)
         identified_by[name] = result.experiment
     data: dict[str, Any] = {"date": result.date, "data": result.digest, "file": source, "surefoot": __version__}
-    seen = _fitted_logs(prior, result.experiment) | {digest: name for name, digest in result.parts.items()}
-    data["logs"] = seen
+    logs = _fitted_logs(prior, result.experiment) | {digest: name for name, digest in result.log_digests.items()}
+    data["logs"] = logs
     tables.setdefault("identified", {})[result.experiment] = {key: value for key, value in data.items() if value}
     names = {*prior.names, *result.identified_names()}
     written = tuple(name for name in PhysicalParams.names() if name in names)
@@ -77,48 +76,51 @@ def overlay(prior: ParamsFile, result: Identification, robot: RobotDescription, 
 
 
 def _fitted_logs(prior: ParamsFile, experiment: str) -> dict[str, str]:
-    """Return the names of the logs that a file was fitted to, or checked with, by their SHA-256."""
-    before = prior.tables.get("identified", {}).get(experiment, {})
-    logs = before.get("logs", {}) if isinstance(before, dict) else {}
+    """Return the names of the logs that the parameters were already fitted to or checked with, by their SHA-256."""
+    table = prior.tables.get("identified", {}).get(experiment, {})
+    logs = table.get("logs", {}) if isinstance(table, dict) else {}
     return dict(logs) if isinstance(logs, dict) else {}
 
 
 def check_new_logs(path: Path | None, prior: ParamsFile, digests: Mapping[str, str], total: str = "") -> None:
-    """Refuse logs that a file of parameters was fitted to already: a second fit would count them twice.
+    """Reject logs that the parameters were already fitted to: a second fit would count the same data twice.
 
     Args:
-        path: the file.
-        prior: what it holds.
+        path: file of the parameters.
+        prior: contents of the file.
         digests: SHA-256 of each log, by name.
-        total: SHA-256 of all of them, which older files have.
+        total: SHA-256 of all logs together, which older files have instead.
+
+    Raises:
+        SurefootError: the file was fitted to one of the logs.
     """
-    before = prior.tables.get("identified", {}).get("logs", {})
-    seen = _fitted_logs(prior, "logs")
-    if total and isinstance(before, dict) and before.get("data") == total:
-        seen = {digest: name for name, digest in digests.items()}
-    if again := [name for name, digest in digests.items() if digest in seen]:
+    table = prior.tables.get("identified", {}).get("logs", {})
+    fitted = _fitted_logs(prior, "logs")
+    if total and isinstance(table, dict) and table.get("data") == total:
+        fitted = {digest: name for name, digest in digests.items()}
+    if repeated := [name for name, digest in digests.items() if digest in fitted]:
         raise SurefootError(
-            f"{path} was fitted to {again[0]} already; logs that count twice give too narrow intervals: give another "
-            "file"
+            f"{path} was already fitted to {repeated[0]}; logs that count twice give intervals that are too narrow: "
+            "give another file"
         )
 
 
 def read_gains(prior: ParamsFile) -> dict[str, ParamValue]:
-    """Return the gains of the logs that a file of parameters was fitted to; none, if it has none."""
+    """Return the servo gains of the logs that the parameters were fitted to; empty if the file has none."""
     table = prior.tables.get(GAINS_TABLE, {})
     if not isinstance(table, dict):
         return {}
     return param_table({name: table[name] for name in ("servo_kp", "servo_kd") if name in table}, GAINS_TABLE)
 
 
-def write_overlay(path: Path, robot: RobotDescription, params: ParamsFile) -> Path:
-    """Write a file of parameters, whole or not at all, with its folder."""
+def write_robot_params(path: Path, robot: RobotDescription, params: ParamsFile) -> Path:
+    """Write a file of parameters atomically; create its folder if needed."""
     path.parent.mkdir(parents=True, exist_ok=True)
     return write_params(path, robot, params.params, params.tables, params.names)
 
 
 def _interval(result: Identification, name: str, before: Any, robot: RobotDescription) -> list[Any]:
-    """Return the interval of a number, or one for each motor or axis: those that are not identifiable stay."""
+    """Return the interval of a parameter, or one per motor or axis; unidentifiable ones keep the interval `before`."""
     items = [item for item in result.estimates if item.name == name]
     identified = [item for item in items if item.identifiable]
     if identified[0].index is None:
@@ -128,7 +130,7 @@ def _interval(result: Identification, name: str, before: Any, robot: RobotDescri
         count = max(count, int(np.prod(getattr(PhysicalParams.nominal(robot), name).shape[1:])))
     try:
         array = np.broadcast_to(np.asarray(_UNBOUNDED if before is None else before, float), (count, 2))
-    except (TypeError, ValueError):  # a file may hold anything
+    except (TypeError, ValueError):  # the file may hold anything
         array = np.broadcast_to(np.array(_UNBOUNDED), (count, 2))
     pairs: list[Any] = array.tolist()
     for item in identified:

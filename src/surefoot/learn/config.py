@@ -14,65 +14,66 @@ from surefoot.task.reward import check_reward
 Layers = tuple[Annotated[int, Within(1, 10_000)], ...]
 """Units of the hidden layers of a network."""
 LoggerName = Literal["tensorboard", "wandb"]
-"""Where a training logs its scalars; wandb: to both."""
+"""Logger of a training's scalars; wandb logs to both."""
 Steps = Annotated[int, Within(1, 10**12)]
 """Control steps of all robots together."""
 
 
 @dataclass(frozen=True)
 class PPOConfig:
-    """Proximal policy optimization (Schulman et al. 2017), as rsl_rl has it."""
+    """Proximal policy optimization (Schulman et al. 2017), as implemented in rsl_rl."""
 
     policy_hidden: Layers = (185, 95)
-    """Hidden layers of the policy network; the paper's for the gallop."""
+    """Hidden layers of the policy network. The default is the paper's network for the gallop."""
     value_hidden: Layers = (128, 128)
-    """Hidden layers of the value network."""
+    """Hidden layers of the critic (value network)."""
     activation: Literal["elu", "relu", "tanh", "selu", "swish"] = "elu"
     """Activation of the hidden layers."""
     privileged_critic: bool = True
-    """Let the value network see the simulation's true state; it is not needed once training is over."""
+    """The critic also receives privileged observations: the true state of the simulation. Policies do not need it."""
     symmetry: bool = False
-    """Learn from every sample's mirror image too: for reference gaits that are left-right symmetric. A robot whose
-    sides differ by more than 0.5 % of its legs' length learns without, and a note says so."""
-    init_std: Annotated[float, Within(0, 100, above=True)] = 0.6
-    """Standard deviation of the first policy's normalized actions, which go from -1 to 1."""
+    """Also learn from the mirror image of each sample, for reference gaits that are left-right symmetric. For robots
+    whose sides differ by more than 0.5 % of the leg length, mirrored samples are disabled with a note."""
+    init_std: Annotated[float, Within(0, 100, exclusive=True)] = 0.6
+    """Initial standard deviation of normalized actions (-1 to 1)."""
     final_std: Annotated[float, Within(0, 100)] = 0.0
-    """Greatest standard deviation at the end of the run; the limit falls linearly from init_std. 0: no limit."""
+    """Upper limit of the standard deviation at the end of the run. The limit decreases linearly from init_std. 0: no
+    limit."""
     start_std: Annotated[float, Within(0, 100)] = 0.0
-    """Standard deviation of a run's first actions whose networks come from another run; 0: what that one ended with."""
+    """Initial standard deviation after a warm start (`start_from`); 0: final value of the other run."""
     value_updates: Annotated[int, Within(0, 1_000_000)] = 0
-    """First updates in which the value network alone learns: one of another run is wrong where robots see anything new,
-    and a policy that follows it forgets what it can do."""
+    """Number of initial updates that train only the critic. After a warm start, the other run's critic is wrong in new
+    conditions, and a policy that follows it would unlearn."""
     epochs: Annotated[int, Within(1, 1000)] = 5
-    """Passes over the samples of an update."""
+    """Epochs per update."""
     minibatches: Annotated[int, Within(1, 1_000_000)] = 4
-    """Parts that a pass is split into."""
-    learning_rate: Annotated[float, Within(0, 1, above=True)] = 1e-3
+    """Minibatches per epoch."""
+    learning_rate: Annotated[float, Within(0, 1, exclusive=True)] = 1e-3
     """Adam's learning rate at the start."""
     schedule: Literal["adaptive", "fixed"] = "adaptive"
-    """adaptive: the learning rate follows the Kullback-Leibler divergence of the updates."""
-    desired_kl: Annotated[float, Within(0, 100, above=True)] = 0.01
-    """Divergence that the adaptive schedule aims at."""
+    """adaptive: the learning rate is adapted to the Kullback-Leibler divergence of updates."""
+    desired_kl: Annotated[float, Within(0, 100, exclusive=True)] = 0.01
+    """Target divergence of the adaptive schedule."""
     gamma: Annotated[float, Within(0, 1)] = 0.99
-    """Discount factor for a control step."""
+    """Discount factor per control step."""
     lam: Annotated[float, Within(0, 1)] = 0.95
     """Lambda of the generalized advantage estimate."""
-    clip: Annotated[float, Within(0, 100, above=True)] = 0.2
+    clip: Annotated[float, Within(0, 100, exclusive=True)] = 0.2
     """Clip range of the probability ratio, and of the value."""
     value_coefficient: Annotated[float, Within(0, 1e6)] = 1.0
     """Weight of the value loss."""
     entropy_coefficient: Annotated[float, Within(0, 1e6)] = 0.003
     """Weight of the entropy bonus."""
-    max_grad_norm: Annotated[float, Within(0, 1e6, above=True)] = 1.0
-    """Gradients are clipped to this norm."""
+    max_grad_norm: Annotated[float, Within(0, 1e6, exclusive=True)] = 1.0
+    """Maximum norm of gradients."""
     fall_cost: Annotated[float, Within(0, 1e6)] = 0.0
-    """Return [m] that a fall takes away in learning, besides what could have come after it; the paper's is 0. Figures
-    are reported without it."""
-    reward_scale: Annotated[float, Within(0, 1e6, above=True)] = 50.0
-    """Rewards are multiplied by this for learning; figures are reported unscaled."""
+    """Penalty for a fall in learning, in units of the reward, in addition to the lost future reward; 0 in the paper.
+    Reported returns do not include it."""
+    reward_scale: Annotated[float, Within(0, 1e6, exclusive=True)] = 50.0
+    """Factor on rewards in learning. Reported returns are unscaled."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of bounds."""
+        """Reject numbers out of bounds."""
         check_bounds(self, "ppo")
         if self.final_std > self.init_std:
             raise SurefootError(
@@ -82,46 +83,46 @@ class PPOConfig:
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """Configuration of a training run: task and learning."""
+    """Configuration of a training run: task, budget, evaluations and PPO."""
 
     task: TaskConfig = field(default_factory=TaskConfig)
-    """Configuration of a task."""
+    """Configuration of the task."""
     name: str = "run"
-    """Name of the run; its folder carries it."""
+    """Name of the run, used in the name of its folder."""
     world: str = "mujoco"
-    """World to train and evaluate in: mujoco or bullet."""
+    """World for training and evaluations: mujoco or bullet."""
     seed: Seed = 0
-    """The one seed of the run."""
+    """Seed of all random numbers of the run."""
     steps: Steps = 7_000_000
-    """Control steps of all robots together; the paper's budget."""
+    """Control steps of all robots together. The default is the paper's budget."""
     num_envs: Annotated[int, Within(1, 100_000)] = 128
-    """Robots that are simulated side by side."""
+    """Number of robots that are simulated in parallel."""
     steps_per_update: Annotated[int, Within(1, 100_000)] = 64
     """Control steps of each robot between two updates of the policy."""
     evaluate_every: Steps = 500_000
-    """Control steps between two evaluations of the deterministic policy."""
+    """Control steps of all robots between two evaluations of the deterministic policy."""
     evaluation_episodes: Annotated[int, Within(1, 10_000)] = 8
-    """Episodes of such an evaluation."""
+    """Episodes per evaluation."""
     evaluation_reward: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=dict)
-    """Weights of reward terms in the returns of evaluations; the task's, if there are none."""
+    """Reward weights for the returns of evaluations. Defaults to the task's reward."""
     checkpoint_every: Steps = 1_000_000
-    """Control steps between two checkpoints that are kept."""
+    """Control steps of all robots between two permanent checkpoints."""
     threads: Threads = 0
-    """Threads of the simulation; 0 means one a core. The result does not depend on it."""
+    """Threads of the simulation; 0 means one per core. Results do not depend on it."""
     learning_threads: Threads = 0
-    """Threads of the learning; 0 means one a core. Sums are rounded in an order that depends on it: with a number,
-    machines with more or fewer cores learn the same."""
+    """Threads of the learning; 0 means one per core. Rounding depends on the number of threads, so set it to get the
+    same result on machines with different numbers of cores."""
     start_from: str | None = None
-    """Folder of another run, whose networks as it left them are this run's first ones: the same layers and legs;
-    everything else may differ. Observations, matched by name, and history may be added to, which changes no action.
-    Where bounds of the feedback differ, it stays what it was. With reference.over_holes, which the other run had not,
-    its policy as its file has it stays the one away from holes. With other ranges, pushes or terrain the value network
-    gets inputs for them, and loses those of former ones."""
+    """Warm start: folder of another run, whose final networks initialize this run. Layers and legs must be the same.
+    Observations (matched by name) and history may be extended without changing actions, and bounds of the feedback may
+    differ, without changing the feedback. If this run adds reference.over_holes, the exported policy of the other run
+    remains in use away from holes. If ranges, pushes or terrain differ, the critic gains and loses the corresponding
+    inputs."""
     ppo: PPOConfig = field(default_factory=PPOConfig)
-    """The learning algorithm."""
+    """Parameters of the learning algorithm."""
 
     def __post_init__(self) -> None:
-        """Refuse values out of bounds."""
+        """Reject values out of bounds."""
         check_name("name", self.name)
         check_bounds(self)
         if self.evaluation_reward:
@@ -139,19 +140,19 @@ class TrainConfig:
 
     @property
     def updates(self) -> int:
-        """Number of policy updates: the fewest that reach `steps`."""
+        """Number of policy updates: the smallest number that reaches `steps`."""
         return -(-self.steps // self.samples_per_update)
 
 
 def load_train_config(task: str, robot: str | None = None) -> TrainConfig:
-    """Return the training configuration of a task's file: its `train` table over the defaults.
+    """Load the training configuration of a task file: defaults, updated with the file's `train` table.
 
     Args:
-        task: as of `load_task`.
-        robot: another robot than the file's.
+        task: name or path of the task, see `load_task`.
+        robot: robot, see `load_task`. Defaults to the file's robot.
 
     Raises:
-        SurefootError: no such task, or a file that does not fit.
+        SurefootError: no such task, or an invalid file.
     """
     task_config, train = load_task(task, robot)
     with prefix_errors(f"{task}: train"):

@@ -1,4 +1,4 @@
-"""Evaluation of the deterministic policy during a training."""
+"""Evaluation of the deterministic policy during training."""
 
 from __future__ import annotations
 
@@ -17,31 +17,31 @@ EVALUATION_SEED = 1_000_003
 
 @dataclass(frozen=True)
 class TrainingEvaluation:
-    """The deterministic policy over some episodes, without pushes."""
+    """Metrics of the deterministic policy over some episodes without pushes."""
 
     steps: int
-    """Control steps of training behind it."""
+    """Control steps of training before the evaluation."""
     speed_mean: float
-    """Distance over time of each episode, averaged [m/s]."""
+    """Mean speed of episodes, distance divided by time [m/s]."""
     return_mean: float
     """Mean return."""
     falls: int
-    """Episodes that ended before their time."""
+    """Number of episodes that ended before their time."""
     pushed_falls: int
-    """The same with pushes, where the task has them; else 0."""
+    """Number of falls in a second set of episodes with pushes, if the task has pushes; otherwise 0."""
     power_mean: float
     """Mean mechanical power [W]."""
     rmse: dict[str, Any] | None = None
-    """Root mean square error of each command's speed [m/s] or rate [rad/s], as `evaluate` has it; None without."""
+    """Root mean square tracking error of each command [m/s, rad/s], as in `evaluate`; None without commands."""
 
     @property
     def rank(self) -> tuple[float, float]:
-        """Key of the order of policies, greater is better: fewest falls, then the return less falls under pushes."""
+        """Sort key of policies, higher is better: fewer falls, then the return minus a penalty for pushed falls."""
         return -self.falls, self.return_mean - 0.25 * self.pushed_falls
 
 
 def _evaluation_task(config: TrainConfig) -> TaskConfig:
-    """Return the task of evaluations: no curriculum, the most difficult terrain, and the returns' own weights."""
+    """Return the task of evaluations: most difficult terrain, no curriculum, and the reward of evaluations."""
     task = config.task
     return replace(
         task,
@@ -53,7 +53,7 @@ def _evaluation_task(config: TrainConfig) -> TaskConfig:
 
 
 def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> TrainingEvaluation:
-    """Run the deterministic policy for whole episodes, always from the same seed."""
+    """Run the deterministic policy for complete episodes, always with the same seed, and return its metrics."""
     config, results, rmse = learner.config, [], None
     base = _evaluation_task(config)
     for pushed in (False, True) if base.pushes.enabled else (False,):

@@ -1,4 +1,4 @@
-"""Lock of a folder in which one process trains. It needs no torch."""
+"""Lock of a run folder, so that only one process trains in it. This module does not need torch."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from surefoot.files import remove_abandoned
 def folder_lock(path: Path, timeout: float = 0.0) -> Iterator[None]:
     """Lock a folder, so that no other process trains in it, and remove unfinished files of killed processes.
 
-    The system releases the lock of a process that was killed. The file `lock` stays, with the process's number.
+    The operating system releases the lock when a process ends or is killed. The file `lock` stays and contains the
+    process id.
 
     Args:
         path: the folder.
-        timeout: how long to wait for another process [s].
+        timeout: maximum time to wait for another process [s].
 
     Raises:
-        SurefootError: another process has the lock, or nothing can be written there.
+        SurefootError: another process holds the lock, or the folder is not writable.
     """
     lock = FileLock(path / "lock", timeout, thread_local=False, fallback_to_soft=False)
     try:
@@ -33,7 +34,7 @@ def folder_lock(path: Path, timeout: float = 0.0) -> Iterator[None]:
     except Timeout:
         raise SurefootError(f"{path}: another process trains in this folder; wait for it, or end it") from None
     except OSError as error:
-        raise SurefootError(f"{path}: can't be trained in: {error.strerror}") from error
+        raise SurefootError(f"{path}: can't be used for training: {error.strerror}") from error
     with held:
         for folder in (path, path / "checkpoints"):
             remove_abandoned(folder)

@@ -1,4 +1,4 @@
-"""Where a training logs its figures: TensorBoard, or Weights & Biases too."""
+"""Loggers of training metrics: TensorBoard, and optionally Weights & Biases."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ _PROJECT = "surefoot"
 
 
 def open_writer(logger: LoggerName, folder: Path, config: TrainConfig, resumed_at: int | None) -> SummaryWriter:
-    """Return a writer of scalars to the run folder.
+    """Open a writer of scalars in the run folder.
 
-    Weights & Biases gets the same scalars and the configuration, in project `surefoot` under the folder's name; the
-    variables WANDB_* hold, such as WANDB_MODE=offline, which keeps the run in the folder.
+    Weights & Biases receives the same scalars and the configuration, in the project `surefoot`, under the folder's
+    name. The environment variables WANDB_* apply: WANDB_MODE=offline, for example, keeps the run in the folder.
 
     Args:
-        logger: where scalars go; with `wandb` to TensorBoard as well.
-        folder: of the run.
-        config: of the run.
-        resumed_at: control steps at which the run goes on: what was logged after them is dropped; None: a new run.
+        logger: logger; with `wandb`, scalars are also logged to TensorBoard.
+        folder: run folder.
+        config: configuration of the run.
+        resumed_at: control steps from which a run is resumed, or None for a new run. Later entries are dropped.
 
     Raises:
-        SurefootError: Weights & Biases can't be used, for example without an account.
+        SurefootError: Weights & Biases is not available, for example without an account.
     """
     if logger == "tensorboard":
         return SummaryWriter(str(folder), purge_step=resumed_at)
@@ -53,14 +53,14 @@ def open_writer(logger: LoggerName, folder: Path, config: TrainConfig, resumed_a
             os.environ.pop(name, None)
     wandb.config.update(to_mapping(config), allow_val_change=True)
     if resumed_at is not None:
-        # The next scalar makes another file of events, which starts there.
+        # Close the file of events: the next scalar opens a new one, which starts at these steps.
         writer.file_writer.close()
         writer.file_writer, writer.purge_step = None, resumed_at
     return writer
 
 
 def write_scalars(writer: SummaryWriter, row: Mapping[str, Any], steps: int) -> None:
-    """Write the numbers of a row of figures, as train/NAME, and those of its evaluation, as evaluation/NAME."""
+    """Write a row of metrics as scalars train/NAME, and the metrics of its evaluation as evaluation/NAME."""
     training = {key: value for key, value in row.items() if key != "evaluation"}
     for part, values in (("train", training), ("evaluation", row.get("evaluation", {}))):
         for key, value in _scalars(values).items():
@@ -68,7 +68,7 @@ def write_scalars(writer: SummaryWriter, row: Mapping[str, Any], steps: int) -> 
 
 
 def _scalars(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
-    """Return the numbers of a row by name, those of tables as TABLE/NAME."""
+    """Return the numbers of a row by name; numbers in tables as TABLE/NAME."""
     scalars: dict[str, float] = {}
     for key, value in values.items():
         if isinstance(value, Mapping):
@@ -79,7 +79,7 @@ def _scalars(values: Mapping[str, Any], prefix: str = "") -> dict[str, float]:
 
 
 def close_writer(writer: SummaryWriter) -> None:
-    """Close a writer, and the run of Weights & Biases if it has one."""
+    """Close a writer and, if it has one, its Weights & Biases run."""
     writer.close()
     if stop := getattr(writer, "stop", None):
         stop()

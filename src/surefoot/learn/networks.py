@@ -1,4 +1,4 @@
-"""The networks of a run, and the PPO of rsl_rl that trains them."""
+"""Construction of the networks of a run, and of the rsl_rl PPO that trains them."""
 
 from __future__ import annotations
 
@@ -18,61 +18,64 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.gait_switch import GaitSwitchArchitecture
 from surefoot.learn.symmetry import MirrorAugmentation
-from surefoot.robot.mirror import is_mirrored
+from surefoot.robot.mirror import is_symmetric
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 
 FIRST_OUTPUT_SCALE = 0.1
-"""Factor of the last layer's first weights: the first policy acts near the middle of the bounds for any observation."""
+"""Factor on the initial weights of the last layer, so that initial actions are near the middle of the bounds."""
 
 
 class Architecture(Protocol):
-    """Structure of the policy network of some tasks, made of the single MLP that rsl_rl builds."""
+    """Policy network other than a single MLP, for some tasks."""
 
     setting: str
     """Setting of a task that requires it, for messages."""
 
-    def serves(self, task: TaskConfig) -> bool:
-        """Return whether a task's policy has it."""
+    def applies_to(self, task: TaskConfig) -> bool:
+        """Return whether a task needs this architecture."""
 
     def build(self, actor: MLPModel, columns: Sequence[str], make_mlp: Callable[[], nn.Module]) -> None:
-        """Change the network of a new actor.
+        """Build the architecture in a new actor.
 
         Args:
-            actor: of rsl_rl, with one MLP.
-            columns: names of the numbers in an observation (O,).
-            make_mlp: makes another MLP of the same layers.
+            actor: actor of rsl_rl with a single MLP; its network is replaced.
+            columns: names of the columns of an observation (O,).
+            make_mlp: factory of MLPs with the same layers.
         """
 
-    def adopt(self, fresh: Mapping[str, torch.Tensor], single: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        """Return the policy's parameters for a warm start from a policy whose network is a single MLP.
+    def initial_parameters(
+        self, fresh: Mapping[str, torch.Tensor], single: Mapping[str, torch.Tensor]
+    ) -> dict[str, torch.Tensor]:
+        """Return the policy's initial parameters for a warm start from a policy with a single MLP.
 
         Args:
-            fresh: parameters of a new policy of this architecture.
-            single: those of the other policy.
+            fresh: parameters of a new policy with this architecture.
+            single: parameters of the other policy.
         """
 
 
 ARCHITECTURES: tuple[Architecture, ...] = (GaitSwitchArchitecture(),)
-"""Policy networks other than a single MLP; the first one that serves a task is taken."""
+"""Architectures other than a single MLP. A task uses the first one that applies."""
 
 
 def find_architecture(task: TaskConfig) -> Architecture | None:
-    """Return the architecture of a task's policy network; None for a single MLP."""
-    return next((one for one in ARCHITECTURES if one.serves(task)), None)
+    """Return the architecture of a task's policy network, or None for a single MLP."""
+    return next((one for one in ARCHITECTURES if one.applies_to(task)), None)
 
 
 def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorDict) -> PPO:
-    """Return PPO with new networks, drawn from torch's stream of random numbers.
+    """Return PPO with new networks, initialized with torch's global random generator.
+
+    With `ppo.symmetry`, mirrored samples are used if the robot's sides are mirror images.
 
     Args:
-        config: the run.
-        env: its robots.
-        observation: a batch of its observations, by group: `policy`, and `privileged` where the critic has that.
+        config: configuration of the run.
+        env: the environment.
+        observation: observations of the batch by group: `policy`, and `privileged` for a privileged critic.
 
     Raises:
-        SurefootError: `ppo.symmetry`, and a reference gait that is not its own mirror image. A robot whose sides
-            differ learns without mirrored samples.
+        SurefootError: `ppo.symmetry` with a reference gait that is not symmetric.
     """
     ppo, actions = config.ppo, len(env.gait.action_names)
     groups = {"actor": ["policy"], "critic": ["policy", "privileged"] if ppo.privileged_critic else ["policy"]}
@@ -108,7 +111,7 @@ def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorD
         schedule=ppo.schedule,
         desired_kl=ppo.desired_kl,
     )
-    if ppo.symmetry and is_mirrored(env.robot):
+    if ppo.symmetry and is_symmetric(env.robot):
         algorithm.symmetry = MirrorAugmentation(env)
     algorithm.train_mode()
     return algorithm
@@ -118,17 +121,17 @@ def load_parameters(algorithm: PPO, state: dict[str, Any], parts: dict[str, bool
     """Load the state of an algorithm.
 
     Args:
-        algorithm: with networks.
-        state: as `algorithm.save` returns it.
-        parts: what to load, as rsl_rl has it; None: everything.
-        message: first words of the error.
+        algorithm: algorithm with its networks.
+        state: state from `algorithm.save`.
+        parts: parts to load (see rsl_rl), or None for all.
+        message: start of the error message.
 
     Raises:
-        SurefootError: networks of other shapes, with the first parameter that does not fit.
+        SurefootError: networks of other shapes; the message names the first parameter that does not fit.
     """
     try:
         algorithm.load(state, parts, strict=True)
     except (RuntimeError, ValueError) as error:
-        # torch's message has a line for each.
+        # torch's message has one line per parameter.
         lines = str(error).split("\n")
         raise SurefootError(f"{message}: {' '.join(lines[min(1, len(lines) - 1)].split())}") from None

@@ -1,4 +1,4 @@
-"""PPO on a batch of robots: rollout, update, and the state for an exact resume."""
+"""PPO learner: rollouts, updates, export, and the state for an exact resume."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from surefoot.task.env import LocomotionEnv, SimulationFactory
 
 
 class PpoLearner:
-    """PPO on a batch of robots.
+    """PPO on a batch of simulated robots.
 
     Args:
-        config: the run.
-        make_world: makes the simulation.
+        config: configuration of the run.
+        make_world: factory of the simulation.
     """
 
     def __init__(self, config: TrainConfig, make_world: SimulationFactory) -> None:
@@ -44,12 +44,12 @@ class PpoLearner:
         self.observation = self._tensors(observation)
         self.algorithm = make_algorithm(config, self.env, self.observation)
         self.update_count = 0
-        # The collector would search the many objects of imported packages again and again; they stay anyway.
+        # Exclude the many permanent objects of imported packages from garbage collection.
         gc.freeze()
 
     @property
     def steps(self) -> int:
-        """Control steps so far, all robots together."""
+        """Control steps so far, of all robots together."""
         return self.update_count * self.config.samples_per_update
 
     @property
@@ -64,7 +64,7 @@ class PpoLearner:
         return TensorDict(groups, batch_size=[self.config.num_envs])
 
     def update(self) -> UpdateMetrics:
-        """Run one rollout and one update of the policy."""
+        """Run one rollout and one PPO update, and return their metrics."""
         start = time.perf_counter()
         statistics = self._roll_out()
         rollout_seconds = time.perf_counter() - start
@@ -84,10 +84,10 @@ class PpoLearner:
         )
 
     def _roll_out(self) -> RolloutStatistics:
-        """Collect the samples of an update, with the targets of the value network and the advantages."""
+        """Collect the samples of an update, and compute returns and advantages."""
         env, algorithm, ppo = self.env, self.algorithm, self.config.ppo
         statistics = RolloutStatistics(env)
-        # Threads of torch that spin between small products would take the cores from the physics.
+        # With more threads, torch would spin between small matrix products and take the cores from the physics.
         torch.set_num_threads(1)
         with torch.inference_mode():
             for _ in range(self.config.steps_per_update):
@@ -106,18 +106,18 @@ class PpoLearner:
         return statistics
 
     def _learn(self) -> dict[str, float]:
-        """Update the networks, in the first `value_updates` only the critic; return the losses by name."""
+        """Update the networks (only the critic in the first `value_updates`), and return the losses by name."""
         torch.set_num_threads(self._threads)
-        held = list(self.policy.parameters()) if self.update_count < self.config.ppo.value_updates else []
-        values = [parameter.detach().clone() for parameter in held]
+        frozen = list(self.policy.parameters()) if self.update_count < self.config.ppo.value_updates else []
+        values = [parameter.detach().clone() for parameter in frozen]
         losses: dict[str, float] = self.algorithm.update()
         with torch.no_grad():
-            for parameter, value in zip(held, values, strict=True):
+            for parameter, value in zip(frozen, values, strict=True):
                 parameter.copy_(value)
         return losses
 
     def _limit_std(self) -> None:
-        """Keep the exploration under a limit that falls during the run, if the configuration has one."""
+        """Clip the policy's standard deviation to a limit that decreases during the run, if there is one."""
         ppo = self.config.ppo
         if ppo.final_std:
             limit = ppo.init_std + (ppo.final_std - ppo.init_std) * min(self.steps / self.config.steps, 1.0)
@@ -132,9 +132,9 @@ class PpoLearner:
             ).numpy()
         return mean
 
-    def export(self, path: str | Path, figures: Mapping[str, Any] | None = None, created: str = "") -> Path:
-        """Write the present policy as a policy file; see `make_contract` and `export_policy`."""
-        contract = make_contract(self.env, self.config, figures, created)
+    def export(self, path: str | Path, metrics: Mapping[str, Any] | None = None, created: str = "") -> Path:
+        """Write the current policy as a policy file; see `make_contract` and `export_policy`."""
+        contract = make_contract(self.env, self.config, metrics, created)
         network = nn.Sequential(self.policy.obs_normalizer, self.policy.mlp)
         return export_policy(network, contract, path, robot=self.env.robot.archive)
 
@@ -150,11 +150,11 @@ class PpoLearner:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Continue from `get_state`, exactly.
+        """Restore a state from `get_state`, to continue exactly from there.
 
         Raises:
-            SurefootError: the state of another number of robots, of networks of other shapes or of numbers that are not
-                finite, or something else than such a state.
+            SurefootError: a state of another number of robots, of networks of other shapes, with numbers that are not
+                finite, or with another structure.
         """
         num_envs = len(state["observation"]["policy"])
         if num_envs != self.config.num_envs:
@@ -172,16 +172,16 @@ class PpoLearner:
         torch.set_rng_state(state["torch"])
 
     def _check_state(self, state: dict[str, Any]) -> None:
-        """Refuse what `get_state` does not return; shapes of networks are left to their loader."""
+        """Raise a `SurefootError` if a state can't come from `get_state`. Loaders check the shapes of networks."""
         own = self.get_state()
         algorithm, optimizer = own.pop("algorithm"), "optimizer_state_dict"
         check_like({key: value for key, value in state.items() if key != "algorithm"}, own, "learner")
         check_finite({key: state[key] for key in ("observation", "learning_rate")}, "learner")
         check_finite(state["env"]["history"], "learner.env.history")
-        found = state["algorithm"]
-        check_like(dict.fromkeys(found), dict.fromkeys(algorithm), "learner.algorithm")
-        check_finite(found, "learner.algorithm")
-        parameters = [one for group in self.algorithm.optimizer.param_groups for one in group["params"]]
+        saved = state["algorithm"]
+        check_like(dict.fromkeys(saved), dict.fromkeys(algorithm), "learner.algorithm")
+        check_finite(saved, "learner.algorithm")
+        parameters = [parameter for group in self.algorithm.optimizer.param_groups for parameter in group["params"]]
         where = f"learner.algorithm.{optimizer}"
-        check_like(found[optimizer]["param_groups"], algorithm[optimizer]["param_groups"], f"{where}.param_groups")
-        check_optimizer(found[optimizer]["state"], parameters, f"{where}.state")
+        check_like(saved[optimizer]["param_groups"], algorithm[optimizer]["param_groups"], f"{where}.param_groups")
+        check_optimizer(saved[optimizer]["state"], parameters, f"{where}.state")

@@ -1,4 +1,4 @@
-"""States of earlier trainings, which may hold what surefoot did not write: each fault is one line."""
+"""Checks of saved training states, whose files may be damaged or foreign, with one-line error messages."""
 
 from __future__ import annotations
 
@@ -14,32 +14,32 @@ from surefoot.learn.checkpoint_state import check_count, check_finite, check_lik
 from surefoot.learn.evaluation import TrainingEvaluation
 from surefoot.learn.ppo_learner import PpoLearner
 
-_STRANGE = (SurefootError, LookupError, TypeError, ValueError, AttributeError, RuntimeError, ArithmeticError)
-"""What loaders and simulations raise at states that surefoot did not write."""
+_STATE_ERRORS = (SurefootError, LookupError, TypeError, ValueError, AttributeError, RuntimeError, ArithmeticError)
+"""Exceptions that loaders and simulations raise for states that surefoot did not write."""
 
 
 @contextmanager
-def refuse_strange_states(before: str, after: str = "", own: bool = True) -> Iterator[None]:
-    """Turn what loaders and simulations raise inside into one line.
+def describe_state_errors(before: str, after: str = "", own: bool = True) -> Iterator[None]:
+    """Convert exceptions of loaders and simulations into one-line errors.
 
     Args:
-        before: text before the fault.
+        before: text before the message of the exception.
         after: text after it.
-        own: whether refusals of surefoot are turned too, otherwise they pass as they are.
+        own: whether a `SurefootError` is also converted; otherwise it passes unchanged.
 
     Raises:
-        SurefootError: the fault between the two texts.
+        SurefootError: the message between the two texts.
     """
     try:
         yield
-    except _STRANGE as error:
+    except _STATE_ERRORS as error:
         if isinstance(error, SurefootError) and not own:
             raise
         raise SurefootError(f"{before}: {_one_line(error)}{after}") from error
 
 
 def _one_line(error: BaseException) -> str:
-    """Return what an error says, without line breaks and not too long."""
+    """Return the message of an exception on one line, shortened to 300 characters."""
     text = " ".join(str(error).split()) or type(error).__name__
     return f"it has no {text}" if isinstance(error, KeyError) else text[:300]
 
@@ -47,16 +47,16 @@ def _one_line(error: BaseException) -> str:
 def read_progress(
     state: dict[str, Any], learner: PpoLearner
 ) -> tuple[TrainingEvaluation | None, dict[str, torch.Tensor], float]:
-    """Return a checkpoint's best evaluation, the policy's parameters then, and the duration so far [s].
+    """Return the best evaluation of a checkpoint, the policy's parameters at that time, and the training time [s].
 
     Raises:
-        SurefootError: values that no training has saved.
+        SurefootError: values that a training can't have saved.
     """
     if check_count(state["steps"], "steps") != learner.steps:
-        raise SurefootError(f"steps is {state['steps']}, and the learner has done {learner.steps}")
+        raise SurefootError(f"steps is {state['steps']}, but the learner has done {learner.steps}")
     best = None
     if state["best"] is not None:
-        json.dumps(state["best"])  # it goes into the policy's contract
+        json.dumps(state["best"])  # it becomes part of the policy's contract
         best = TrainingEvaluation(**state["best"])
         for name, value in state["best"].items():
             if name != "rmse" and (isinstance(value, bool) or not isinstance(value, int | float)):

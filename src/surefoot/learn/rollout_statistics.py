@@ -1,4 +1,4 @@
-"""Statistics of a rollout, and the figures of an update."""
+"""Statistics of rollouts and metrics of updates."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ _EPISODE_COLUMNS = ("return", "steps", "distance", "duration")
 
 @dataclass(frozen=True)
 class UpdateMetrics:
-    """Figures of one update."""
+    """Metrics of one update."""
 
     steps: int
-    """Control steps so far, all robots together."""
+    """Control steps so far, of all robots together."""
     episodes: int
-    """Episodes that ended since the last update."""
+    """Number of episodes that ended since the last update."""
     falls: int
-    """Those that ended before their time."""
+    """Number of these episodes that ended before their time."""
     return_mean: float
-    """Mean return of episodes that ended, unscaled; NaN if none did."""
+    """Mean unscaled return of these episodes; NaN if none ended."""
     speed_mean: float
-    """Mean speed of episodes that ended [m/s]; NaN if none did."""
+    """Mean speed of these episodes [m/s]; NaN if none ended."""
     reward_rate: float
-    """Mean reward of a control step, unscaled."""
+    """Mean unscaled reward of a control step."""
     std_mean: float
     """Mean standard deviation of the policy's actions."""
     learning_rate: float
@@ -39,23 +39,23 @@ class UpdateMetrics:
     surrogate_loss: float
     entropy: float
     divergences: int
-    """Robots whose simulation diverged, since the start."""
+    """Number of divergences of simulated robots since the start."""
     rollout_seconds: float
     learn_seconds: float
     reward: dict[str, float]
-    """What each term adds to the reward, unscaled and weighted, per second."""
+    """Contribution of each reward term per second, weighted and unscaled."""
     rmse: dict[str, float] | None = None
-    """Root mean square error of each command: mean speed [m/s] or rate [rad/s] over a control step less that which the
-    gait follows; None without commands."""
+    """Root mean square tracking error of each command, mean speed [m/s] or rate [rad/s] over a control step minus the
+    filtered command; None without commands."""
     levels: dict[str, float] | None = None
     """Mean level of the robots on each kind of terrain; None without tiles."""
 
 
 class RolloutStatistics:
-    """Sums over the control steps of one rollout.
+    """Accumulator of statistics over the control steps of one rollout.
 
     Args:
-        env: the robots.
+        env: the environment.
     """
 
     def __init__(self, env: LocomotionEnv) -> None:
@@ -67,7 +67,12 @@ class RolloutStatistics:
         self._episodes: list[NDArray[np.float64]] = [np.zeros((len(_EPISODE_COLUMNS), 0))]
 
     def add(self, reward: Array, info: Mapping[str, Any]) -> None:
-        """Add the control step that just ended: what the environment returned of it."""
+        """Add a control step.
+
+        Args:
+            reward: rewards that the environment returned (N,).
+            info: `info` that the environment returned.
+        """
         env = self._env
         self._count += 1
         self._reward += float(reward.mean())
@@ -77,8 +82,8 @@ class RolloutStatistics:
         if env.task.commands.enabled:
             self._squared_errors += (env.state.command_error**2).mean(axis=0)
         if "figures" in info:
-            figures, rows = info["figures"], info["_figures"]
-            self._episodes.append(np.array([figures[key][rows] for key in _EPISODE_COLUMNS]))
+            metrics, rows = info["figures"], info["_figures"]
+            self._episodes.append(np.array([metrics[key][rows] for key in _EPISODE_COLUMNS]))
 
     def summarize(self) -> dict[str, Any]:
         """Return the fields of `UpdateMetrics` that describe the rollout."""

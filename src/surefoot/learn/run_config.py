@@ -1,4 +1,4 @@
-"""The configuration in a run's folder, with copies of the files that it names: a run goes on wherever it is moved."""
+"""Configuration in a run folder, with copies of the files to which it refers, so that the folder can be moved."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from surefoot.robot.archive import copy_robot
 from surefoot.task.reference_config import REFERENCES, TableReferenceConfig
 
 ROBOT = "robot"
-"""Folder with a copy of a robot that does not ship, and then `task.robot` of the file."""
+"""Folder with a copy of a robot that does not ship with surefoot, also the value of `task.robot` in the file."""
 _CONFIG = "config.yaml"
 _TABLE = "reference"
-"""Stem of a copy of the reference's table, and then `task.reference.file` with its suffix."""
+"""File name without suffix of the copy of a reference table, also of the value of `task.reference.file`."""
 
 
 def write_run_config(config: TrainConfig, folder: Path) -> None:
-    """Write a run's configuration with copies of its robot, unless it ships, and of its reference's table.
+    """Write the configuration of a run, with copies of its reference table and its robot, unless that ships.
 
     Raises:
         OSError: a file can't be written or read.
         SurefootError: a robot that can't be copied.
     """
     task, robot = config.task, RobotDescription.load(config.task.robot)
-    if not robot.ships:
+    if not robot.is_builtin:
         copy_robot(robot.folder, folder / ROBOT)
         task = replace(task, robot=ROBOT)
     if isinstance(task.reference, TableReferenceConfig) and (file := task.reference.file) is not None:
@@ -39,10 +39,10 @@ def write_run_config(config: TrainConfig, folder: Path) -> None:
 
 
 def read_run_config(folder: Path) -> TrainConfig:
-    """Read a run's configuration, with paths of the copies in the folder as it is now.
+    """Read the configuration of a run, with the current paths of the copies in its folder.
 
     Raises:
-        SurefootError: it can't be read or does not fit.
+        SurefootError: it can't be read or is invalid.
     """
     config, here = _read(folder), folder.absolute()
     task = config.task
@@ -56,20 +56,20 @@ def read_run_config(folder: Path) -> TrainConfig:
 
 
 def copied_files(folder: Path) -> list[str]:
-    """Return the names of the copies in a run's folder."""
+    """Return the names of the copied files in a run folder."""
     paths = [path for pattern in (f"{ROBOT}/**/*", f"{_TABLE}.*") for path in folder.glob(pattern) if path.is_file()]
     return sorted(path.relative_to(folder).as_posix() for path in paths)
 
 
 def set_steps(folder: Path, steps: int) -> None:
-    """Write another number of control steps into a run's configuration; all else stays as it is."""
+    """Change the number of control steps in the configuration of a run."""
     write_yaml(folder / _CONFIG, replace(_read(folder), steps=steps))
 
 
 def _read(folder: Path) -> TrainConfig:
     data = read_yaml(folder / _CONFIG)
     if isinstance(task := data.get("task"), dict) and "reference" in task:
-        # Runs of earlier versions have the keys of all kinds.
+        # Runs of earlier versions have the keys of all kinds of references.
         task["reference"] = keys_of_kind(REFERENCES, task["reference"])
     with prefix_errors(folder / _CONFIG):
         return from_mapping(TrainConfig, data)

@@ -1,4 +1,4 @@
-"""The folder of a run: configuration, versions, results, and checkpoints that survive interruptions."""
+"""Run folders: configuration, versions, metrics, policy, and checkpoints that survive interruptions."""
 
 from __future__ import annotations
 
@@ -36,24 +36,22 @@ FORMAT = 4
 _MAGIC = b"surefoot checkpoint 1\n"
 _KINDS = (bool, np.int64, np.float32, np.float64)
 _ARRAYS: list[Any] = [np.zeros(0).__reduce__()[0], np.ndarray, np.dtype, *(type(np.dtype(kind)) for kind in _KINDS)]
-"""What a checkpoint holds besides tensors, tables and numbers: NumPy's arrays of these kinds of numbers."""
+"""NumPy types that a checkpoint may contain in addition to tensors, tables and numbers."""
 _TIME = "%Y-%m-%d_%H-%M-%S"
 _PACKAGES = ("mujoco", "numpy", "numba", "torch", "rsl-rl-lib", "gymnasium", "onnx", "onnxruntime")
 
 
 @contextmanager
 def _describe_write_errors(path: Path) -> Iterator[None]:
-    """Turn a failure of the file system inside into one line."""
+    """Convert errors of the file system into a one-line error."""
     try:
         yield
     except OSError as error:
-        raise SurefootError(
-            f"{path}: can't be written: {error.strerror}; what was saved before is untouched"
-        ) from error
+        raise SurefootError(f"{path}: can't be written: {error.strerror}; files saved earlier are unchanged") from error
 
 
 def write_checkpoint(path: Path, state: dict[str, Any]) -> None:
-    """Write a checkpoint with its digest, whole or not at all.
+    """Write a checkpoint with its digest (atomic).
 
     Raises:
         SurefootError: it can't be written, for example because the disk is full.
@@ -69,7 +67,7 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
     """Read a checkpoint written by `write_checkpoint`.
 
     Raises:
-        SurefootError: it is missing, cut off, damaged, or no checkpoint; or it holds what could run code.
+        SurefootError: it is missing, cut off, damaged, or not a checkpoint, or contains objects that could run code.
     """
     with describe_os_errors(path):
         content = path.read_bytes()
@@ -83,10 +81,10 @@ def read_checkpoint(path: Path) -> dict[str, Any]:
             state: dict[str, Any] = torch.load(io.BytesIO(payload), weights_only=True)
     except Exception as error:  # torch's errors have no common class of their own.
         raise SurefootError(
-            f"{path}: is not a checkpoint that surefoot wrote: it holds more than numbers, arrays and tables of them"
+            f"{path}: is not a checkpoint that surefoot wrote: it contains more than numbers, arrays and tables of them"
         ) from error
     if not isinstance(state, dict):
-        raise SurefootError(f"{path}: is not a checkpoint that surefoot wrote: it holds {quote(state)}, no table")
+        raise SurefootError(f"{path}: is not a checkpoint that surefoot wrote: it contains {quote(state)}, not a table")
     return state
 
 
@@ -101,13 +99,13 @@ def _git_revision() -> str | None:
 
 @dataclass(frozen=True)
 class _Plugins:
-    """Part of `run.json`."""
+    """Entry `plugins` of `run.json`."""
 
     plugins: tuple[PluginRecord, ...] = ()
 
 
 def _check_plugins(path: Path, about: dict[str, Any]) -> None:
-    """Refuse a run with terms of a plug-in that is not registered; print a line if one has changed."""
+    """Raise a `SurefootError` if a run's plug-in is not registered, and print a note if one has changed."""
     with prefix_errors(path / "run.json"):
         data = {"plugins": about.get("plugins", [])}
         records = from_mapping(_Plugins, data).plugins
@@ -123,14 +121,14 @@ def _check_plugins(path: Path, about: dict[str, Any]) -> None:
 
 
 class RunFolder:
-    """The folder of one run: configuration, versions, figures, TensorBoard log, checkpoints and policy."""
+    """Folder of a run: configuration, versions, metrics, TensorBoard log, checkpoints and policy."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
         self.checkpoints = path / "checkpoints"
         self.latest = self.checkpoints / "latest.ckpt"
         self.previous = self.checkpoints / "previous.ckpt"
-        self.figures_log = path / "figures.jsonl"
+        self.metrics_log = path / "figures.jsonl"
         self.policy = path / "policy.onnx"
 
     @classmethod
@@ -148,13 +146,13 @@ class RunFolder:
         return cls.create_at(config, path)
 
     @classmethod
-    def create_at(cls, config: TrainConfig, path: Path, words: Sequence[str] | None = None) -> RunFolder:
-        """Make the folder of a new run at a given path; figures of an earlier run there are removed.
+    def create_at(cls, config: TrainConfig, path: Path, arguments: Sequence[str] | None = None) -> RunFolder:
+        """Make the folder of a new run at a path. Metrics of an earlier run there are removed.
 
         Args:
-            config: of the run.
-            path: of the folder.
-            words: the command's words after `surefoot`; those of this process, if None.
+            config: configuration of the run.
+            path: path of the folder.
+            arguments: arguments of the command `surefoot`, for `run.json`. Defaults to the arguments of this process.
 
         Raises:
             SurefootError: it can't be made.
@@ -162,7 +160,7 @@ class RunFolder:
         folder = cls(path)
         try:
             folder.checkpoints.mkdir(parents=True, exist_ok=True)
-            folder.figures_log.unlink(missing_ok=True)
+            folder.metrics_log.unlink(missing_ok=True)
             write_run_config(config, path)
         except OSError as error:
             raise SurefootError(f"{path}: a run folder can't be made there: {error.strerror}") from error
@@ -170,7 +168,7 @@ class RunFolder:
             "format": FORMAT,
             "surefoot": __version__,
             "git": _git_revision(),
-            "command": ["surefoot", *(sys.argv[1:] if words is None else words)],
+            "command": ["surefoot", *(sys.argv[1:] if arguments is None else arguments)],
             "started": time.strftime(_TIME),
             "seed": config.seed,
             "plugins": to_mapping(
@@ -186,39 +184,39 @@ class RunFolder:
 
     @classmethod
     def open(cls, path: Path) -> tuple[RunFolder, TrainConfig]:
-        """Open an existing run's folder.
+        """Open the folder of an existing run, and return it with its configuration.
 
         Raises:
-            SurefootError: no run folder, one of another version, or a configuration that does not fit.
+            SurefootError: not a run folder, one of another version, or an invalid configuration.
         """
         about_path = path / "run.json"
         try:
             about = json.loads(read_configuration(about_path))
             format_ = about["format"]
         except OSError:
-            raise SurefootError(f"{path}: is not a run folder; one has run.json and config.yaml") from None
+            raise SurefootError(f"{path}: is not a run folder, which has run.json and config.yaml") from None
         except (ValueError, KeyError, TypeError, RecursionError):
             raise SurefootError(f"{about_path}: is damaged; it must be the JSON that surefoot wrote") from None
         if format_ != FORMAT:
             raise SurefootError(
-                f"{path}: is of run format {format_}, by surefoot {about.get('surefoot')}; "
+                f"{path}: has the run format {format_} of surefoot {about.get('surefoot')}; "
                 f"this is surefoot {__version__}, which reads format {FORMAT}"
             )
         _check_plugins(path, about)
         return cls(path), read_run_config(path)
 
     def save(self, state: dict[str, Any]) -> None:
-        """Save the run's state; keep the one saved before as `previous.ckpt`."""
+        """Save the state of the run, and keep the last one as `previous.ckpt`."""
         if self.latest.exists():
             with _describe_write_errors(self.previous):
                 atomic_write(self.previous, self.latest.read_bytes())
         write_checkpoint(self.latest, state)
 
     def load(self) -> dict[str, Any]:
-        """Return the run's last state.
+        """Load the last state of the run.
 
         Raises:
-            SurefootError: it is missing or broken; the message has whether the one before it is whole.
+            SurefootError: it is missing or broken. The message says whether the previous one can be used.
         """
         try:
             return read_checkpoint(self.latest)
@@ -228,38 +226,38 @@ class RunFolder:
             except SurefootError:
                 raise SurefootError(f"{error}; there is no older checkpoint to resume from") from None
             raise SurefootError(
-                f"{error}; {self.previous.name} beside it is whole, at {steps} steps: "
+                f"{error}; {self.previous.name} next to it is intact, at {steps} steps: "
                 f"rename it to {self.latest.name} to resume"
             ) from None
 
     def saved_steps(self, state: dict[str, Any]) -> int:
-        """Return how many control steps were done in a checkpoint's state.
+        """Return the number of control steps in a checkpoint's state.
 
         Raises:
-            SurefootError: it does not say.
+            SurefootError: a state without a valid number of steps.
         """
         with prefix_errors(self.latest):
             return check_count(state.get("steps"), "steps")
 
     def log(self, row: dict[str, Any]) -> None:
-        """Append a row of figures.
+        """Append a row of metrics.
 
         Raises:
             SurefootError: it can't be written, for example because the disk is full.
         """
-        with _describe_write_errors(self.figures_log), self.figures_log.open("a", encoding="utf-8") as file:
+        with _describe_write_errors(self.metrics_log), self.metrics_log.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return all rows of figures; a last line that was cut off is left out."""
-        return read_json_lines(self.figures_log)
+        """Return all rows of metrics, without an incomplete last line."""
+        return read_json_lines(self.metrics_log)
 
     def evaluations(self) -> list[dict[str, Any]]:
-        """Return the evaluations among the rows."""
+        """Return the evaluations in the rows of metrics."""
         return [row["evaluation"] for row in self.rows() if "evaluation" in row]
 
     def drop_rows_after(self, steps: int) -> None:
-        """Remove rows later than `steps`, which a resumed run writes again."""
+        """Remove rows after `steps`, which a resumed run writes again."""
         lines = [json.dumps(row) + "\n" for row in self.rows() if row["steps"] <= steps]
-        with _describe_write_errors(self.figures_log):
-            atomic_write(self.figures_log, "".join(lines))
+        with _describe_write_errors(self.metrics_log):
+            atomic_write(self.metrics_log, "".join(lines))

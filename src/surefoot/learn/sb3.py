@@ -1,4 +1,4 @@
-"""`LocomotionEnv` with Stable-Baselines3's vector interface."""
+"""Adapters for Stable-Baselines3: `LocomotionEnv` as its vector environment, and its actors as torch modules."""
 
 from __future__ import annotations
 
@@ -21,14 +21,17 @@ Indices = int | Iterable[int] | None
 
 
 class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
-    """A batch of robots as Stable-Baselines3 takes it.
+    """A batch of robots as a vector environment of Stable-Baselines3.
 
-    Differences from Gymnasium: one `done` for both ends of an episode; `infos[i]` holds
-    `terminal_observation`, the last one of an episode, `TimeLimit.truncated`, true where the episode was truncated
-    and its value is to be estimated, and `episode`, its return `r`, length `l` and wall time `t`.
+    It differs from Gymnasium in a single flag `done` for terminations and truncations. `infos[i]` contains
+    `terminal_observation`, the last observation of an episode; `TimeLimit.truncated`, true if the episode was truncated
+    and its value must be bootstrapped; and `episode` with the return `r`, length `l` and wall time `t`.
 
     Args:
-        env: the robots, with `autoreset`.
+        env: environment with `autoreset`.
+
+    Raises:
+        SurefootError: an environment without `autoreset`.
     """
 
     def __init__(self, env: LocomotionEnv) -> None:
@@ -40,14 +43,14 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
 
     def reset(self) -> NDArray[np.float32]:
-        """Start all robots anew, with the seed given to `seed` since the last reset, if any."""
+        """Reset all robots, with the seed that was set by `seed` since the last reset, if any."""
         observation, _ = self.env.reset(seed=self._seeds[0])
         self._reset_seeds()
         self._reset_options()
         return observation
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Keep the actions (N, A) for `step_wait`."""
+        """Store the actions (N, A) for `step_wait`."""
         self._actions = actions
 
     def step_wait(
@@ -58,11 +61,11 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
         done = terminated | truncated
         infos: list[dict[str, Any]] = [{"TimeLimit.truncated": bool(cut)} for cut in truncated]
         for i in np.flatnonzero(done):
-            figures = info["figures"]
+            metrics = info["figures"]
             infos[i]["terminal_observation"] = info["final_obs"][i]
             infos[i]["episode"] = {
-                "r": float(figures["return"][i]),
-                "l": int(figures["steps"][i]),
+                "r": float(metrics["return"][i]),
+                "l": int(metrics["steps"][i]),
                 "t": time.monotonic() - self._start,
             }
         return observation, reward.astype(np.float32), done, infos
@@ -79,7 +82,7 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
         return [getattr(self.env, attr_name)] * self._count(indices)
 
     def set_attr(self, attr_name: str, value: Any, indices: Indices = None) -> None:
-        """Set an attribute of the batch; robots can't differ in it."""
+        """Set an attribute of the batch, which is the same for all robots."""
         if self._count(indices) != self.num_envs:
             raise SurefootError(f"{attr_name} belongs to the whole batch; it can't be set for some robots")
         setattr(self.env, attr_name, value)
@@ -89,15 +92,15 @@ class SB3VecEnv(VecEnv):  # type: ignore[misc, unused-ignore]
         return [getattr(self.env, method_name)(*args, **kwargs)] * self._count(indices)
 
     def env_is_wrapped(self, wrapper_class: type[Wrapper], indices: Indices = None) -> list[bool]:
-        """Return False for every robot: none is wrapped."""
+        """Return False for every robot, since none is wrapped."""
         return [False] * self._count(indices)
 
 
 class Actor(nn.Module):
-    """The deterministic actor of a model, raw observations (N, O) to actions (N, A), with its normalizer.
+    """Deterministic actor of a model with its normalizer, from raw observations (N, O) to actions (N, A).
 
     Args:
-        model: PPO, A2C, SAC, TD3 or DDPG; statistics are those of its `VecNormalize`, if it has one.
+        model: PPO, A2C, SAC, TD3 or DDPG. The normalizer is its `VecNormalize`, if it has one.
 
     Raises:
         SurefootError: a model of another kind.
@@ -124,7 +127,7 @@ class Actor(nn.Module):
             self.to(model.device)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Return the actions, which may lie outside of [-1, 1]."""
+        """Return the actions (N, A), which may be outside [-1, 1]."""
         policy: Any = self.policy
         if self.clip is not None:
             observation = torch.clamp((observation - self.mean) / self.scale, -self.clip, self.clip)

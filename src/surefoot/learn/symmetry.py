@@ -1,7 +1,7 @@
-"""Left-right symmetry: PPO of a symmetric robot learns from mirrored samples too.
+"""Left-right symmetry: data augmentation with mirrored samples for symmetric robots.
 
-Every sample is used twice in an update, as it was and mirrored in the robot's middle plane (data augmentation, see
-Mittal et al. 2024, "Symmetry Considerations for Learning Task Symmetric Robot Policies").
+Every sample is used twice in an update, unchanged and mirrored at the robot's sagittal plane (Mittal et al. 2024,
+"Symmetry Considerations for Learning Task Symmetric Robot Policies").
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ from tensordict import TensorDict
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
-from surefoot.robot.mirror import MIRRORED, is_mirrored, side_difference
+from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, is_symmetric, side_difference
 from surefoot.task.commands import CommandState
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
 
-_FLIPPED = (
+_SIGN_FLIPPED_COLUMNS = (
     *("roll", "roll_rate", "yaw", "yaw_rate", "velocity_y", "gravity_y", "push_y", "imu_bias.roll"),
     *("command_sideways", "command_yaw_rate", "heading_error", "foothold_y"),
 )
-"""Columns, or their names before a point, that change their sign in the mirror; all others keep it."""
+"""Columns, or prefixes of columns before a point, that change sign in the mirror image."""
 _ANGLE_COLUMNS = ("angle", "speed", "joint", "last_joint")
-"""Prefixes of the motors' columns that have the sign of the motor's angle."""
+"""Prefixes of motor columns that change sign in the mirror image together with the motor angle."""
 _PHASE = ("phase_sin", "phase_cos")
 _LEG_SPACE_GAIN = 4.0
-"""Difference of poses in leg space, over that of the legs' lengths in lengths of the leg, which bends magnify."""
+"""Ratio of the difference of poses in leg space to the relative difference of leg lengths; bent legs magnify it."""
 
 
 def mirror_name(name: str) -> str:
@@ -40,9 +40,9 @@ def mirror_name(name: str) -> str:
 
 
 def mirror_motors(robot: RobotDescription) -> dict[str, tuple[str, float]]:
-    """Return for each motor the one on the other side, and the sign of its angle in the mirror image.
+    """Return the motor on the other side for each motor, and the sign of its angle in the mirror image.
 
-    In the mirror image, rotations about the base's x axis (abduction) change their sign, those about y keep it.
+    In the mirror image, rotations about the base's x axis (abduction) change sign, and rotations about y keep it.
     """
     legs, mirror = {leg.name: leg for leg in robot.legs}, {}
     for place, leg in enumerate(robot.legs):
@@ -61,15 +61,15 @@ def mirror_columns(
     columns: Sequence[str],
     half_period: bool = False,
     motors: Mapping[str, tuple[str, float]] | None = None,
-    more_flipped: Sequence[str] = (),
+    extra_flipped: Sequence[str] = (),
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Return each column's source column in the mirror image, and its sign; (C,) each.
+    """Return the source column of each column in the mirror image, and its sign, (C,) each.
 
     Args:
-        columns: their names.
+        columns: names of the columns.
         half_period: whether the mirrored reference gait is the reference half a period later.
-        motors: as of `mirror_motors`, for columns NAME.MOTOR.
-        more_flipped: columns of plug-ins that change their sign.
+        motors: result of `mirror_motors`, for columns NAME.MOTOR.
+        extra_flipped: columns of plug-ins that change sign.
 
     Raises:
         SurefootError: a column without a counterpart.
@@ -88,7 +88,7 @@ def mirror_columns(
             f"symmetry: column {error} has no counterpart; legs must be called left and right, or --ppo.no-symmetry "
             "learns without mirrored samples"
         ) from None
-    flipped = {*_FLIPPED, *more_flipped, *(_PHASE if half_period else ())}
+    flipped = {*_SIGN_FLIPPED_COLUMNS, *extra_flipped, *(_PHASE if half_period else ())}
     sign = [-1.0 if flipped & {name, name.partition(".")[0]} else 1.0 for name in columns]
     for place, name in enumerate(columns):
         prefix, _, motor = name.partition(".")
@@ -98,24 +98,24 @@ def mirror_columns(
 
 
 def mirror_note(robot: RobotDescription) -> str | None:
-    """Return why a robot does not learn from mirrored samples, in one line; None where it may."""
-    if is_mirrored(robot):
+    """Return a one-line note on why a robot can't use mirrored samples, or None if it can."""
+    if is_symmetric(robot):
         return None
     difference = side_difference(robot)
-    most = 1e3 * MIRRORED * robot.leg_geometry.length
+    limit = 1e3 * MAX_SIDE_DIFFERENCE * robot.leg_geometry.length
     return (
-        f"{difference.text}: no mirrored samples are learned from (up to {most:.2g} mm they are); if the robot is not "
-        "built so, correct its URDF; with --ppo.no-symmetry there is no such note"
+        f"{difference.text}: training does not use mirrored samples (limit {limit:.2g} mm); if the real robot is "
+        "symmetric, correct its URDF; --ppo.no-symmetry turns this note off"
     )
 
 
-def reference_shift(env: LocomotionEnv) -> bool:
-    """Return whether the mirrored reference gait is the reference half a period later (else its own mirror image).
+def is_half_period_shifted(env: LocomotionEnv) -> bool:
+    """Return whether the mirrored reference gait is the reference half a period later, or False if it is the same.
 
-    Legs whose lengths differ, within `MIRRORED`, may differ in leg space by some of that.
+    The tolerance includes differences of leg lengths up to `MAX_SIDE_DIFFERENCE`.
 
     Raises:
-        SurefootError: it is neither.
+        SurefootError: a reference that is neither.
     """
     reference, legs = env.gait.reference, env.robot.leg_names
     tolerance = 1e-4 + _LEG_SPACE_GAIN * side_difference(env.robot).length / env.robot.leg_geometry.length
@@ -124,8 +124,8 @@ def reference_shift(env: LocomotionEnv) -> bool:
     source, _ = mirror_columns(legs)
     command = np.zeros((64, 3))
     if limits := env.task.commands.limits(env.robot):
-        shares = np.linspace(0, 1, 64)[:, None] * [1, 2, 3] % 1.0
-        command = limits.low + shares * (limits.high - limits.low)
+        fractions = np.linspace(0, 1, 64)[:, None] * [1, 2, 3] % 1.0
+        command = limits.low + fractions * (limits.high - limits.low)
     for half in (False, True):
         later, cycles = times + half * period / 2, times / period
         here = reference.pose(times, CommandState(command, np.ones(64), cycles))
@@ -133,23 +133,23 @@ def reference_shift(env: LocomotionEnv) -> bool:
         if np.allclose(here[..., source], there, atol=tolerance):
             return half
     raise SurefootError(
-        "ppo.symmetry is set, but the task's reference gait is not left-right symmetric, at once or half a period "
-        "later; --ppo.no-symmetry learns without mirrored samples"
+        "ppo.symmetry is set, but the task's reference gait is not left-right symmetric, neither directly nor half a "
+        "period later; --ppo.no-symmetry learns without mirrored samples"
     )
 
 
 class MirrorSamples:
-    """Samples and their mirror images, as rsl_rl requests them.
+    """Function for rsl_rl that appends the mirror images of samples.
 
     Args:
-        env: the environment of the samples.
+        env: environment of the samples.
 
     Raises:
-        SurefootError: a robot or a reference gait that is not its own mirror image.
+        SurefootError: a robot or a reference gait that is not symmetric.
     """
 
     def __init__(self, env: LocomotionEnv) -> None:
-        half_period = reference_shift(env)
+        half_period = is_half_period_shifted(env)
         columns = {
             "policy": (env.observer.columns, env.task.history),
             "privileged": (env.privileged_columns, 1),
@@ -162,34 +162,34 @@ class MirrorSamples:
             sources = np.concatenate([source + k * len(names) for k in range(times)])
             self._mirrors[group] = (torch.from_numpy(sources), torch.from_numpy(np.tile(sign, times)))
 
-    def mirrored(self, group: str, values: torch.Tensor) -> torch.Tensor:
-        """Return the mirror image of a group's values (B, C)."""
+    def mirror(self, group: str, values: torch.Tensor) -> torch.Tensor:
+        """Return the mirror image of the values (B, C) of a group: policy, privileged or actions."""
         source, sign = self._mirrors[group]
         return values[:, source] * sign
 
     def __call__(
         self, env: Any, obs: TensorDict | None, actions: torch.Tensor | None
     ) -> tuple[TensorDict | None, torch.Tensor | None]:
-        """Return the observations and actions, each followed by its mirror images."""
+        """Return observations and actions with their mirror images appended."""
         if obs is not None:
             groups: dict[str, Any] = dict(obs.items())
-            both = {key: torch.cat([values, self.mirrored(key, values)]) for key, values in groups.items()}
+            both = {key: torch.cat([values, self.mirror(key, values)]) for key, values in groups.items()}
             obs = TensorDict(both, batch_size=[2 * obs.batch_size[0]])
         if actions is not None:
-            actions = torch.cat([actions, self.mirrored("actions", actions)])
+            actions = torch.cat([actions, self.mirror("actions", actions)])
         return obs, actions
 
 
 class MirrorAugmentation(Symmetry):
-    """rsl_rl's symmetry with mirrored samples, and without the mirror loss.
+    """Symmetry extension of rsl_rl with mirrored samples and without mirror loss.
 
     Args:
-        env: the environment of the samples; see `MirrorSamples`.
+        env: environment of the samples; see `MirrorSamples`.
     """
 
     def __init__(self, env: LocomotionEnv) -> None:
         super().__init__(env, MirrorSamples(env), use_data_augmentation=True)
 
     def compute_loss(self, *_: Any) -> torch.Tensor:
-        """Return 0: for a figure that nobody reads, rsl_rl would run the policy once more on each minibatch."""
+        """Return 0, to save rsl_rl another pass of the policy over each minibatch for a metric that is not used."""
         return torch.zeros(())

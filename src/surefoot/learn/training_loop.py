@@ -1,4 +1,4 @@
-"""The training loop: updates, evaluations, checkpoints, figures. A resumed run gives exactly the same result."""
+"""Training loop: updates, evaluations, checkpoints and metrics. A resumed run gives exactly the same result."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.learn.config import LoggerName, TrainConfig
 from surefoot.learn.evaluation import TrainingEvaluation, evaluate_policy
 from surefoot.learn.log_writer import close_writer, open_writer, write_scalars
 from surefoot.learn.ppo_learner import PpoLearner
-from surefoot.learn.resume import read_progress, refuse_strange_states
+from surefoot.learn.resume import describe_state_errors, read_progress
 from surefoot.learn.rollout_statistics import UpdateMetrics
 from surefoot.learn.run_folder import RunFolder, write_checkpoint
 from surefoot.learn.transfer import warm_start
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class TrainingLoop:
-    """The training of a policy in a run folder, made by `create` or `resume`."""
+    """Training of a policy in a run folder. Construct it with `create` or `resume`."""
 
     def __init__(
         self, learner: PpoLearner, folder: RunFolder, make_world: SimulationFactory, writer: SummaryWriter
@@ -37,26 +37,26 @@ class TrainingLoop:
         self.best_actor: dict[str, Any] = {}
         self.seconds = 0.0
         self._saved_steps = -1
-        self._is_untried = False  # whether no update was made since a checkpoint was read
+        self._is_unverified = False  # whether a checkpoint was loaded and no update was made since
 
     @classmethod
     def create(
         cls, config: TrainConfig, folder: RunFolder, make_world: SimulationFactory, logger: LoggerName = "tensorboard"
     ) -> TrainingLoop:
-        """Begin a training in its run folder, with the networks of another run where `start_from` names one.
+        """Start a training in a run folder, with a warm start if the configuration has `start_from`.
 
         Args:
             config: configuration of the run.
-            folder: its run folder.
-            make_world: makes the simulation.
-            logger: see `open_writer`.
+            folder: run folder.
+            make_world: factory of the simulation.
+            logger: logger, see `open_writer`.
 
         Raises:
-            SurefootError: a task or a run to start from that does not fit.
+            SurefootError: an invalid task, or a run from which this one can't start.
         """
         learner = PpoLearner(config, make_world)
         if config.start_from is not None:
-            with refuse_strange_states(f"start_from {config.start_from}: no training can start from it", own=False):
+            with describe_state_errors(f"start_from {config.start_from}: no training can start from it", own=False):
                 warm_start(learner, Path(config.start_from), make_world)
         return cls(learner, folder, make_world, open_writer(logger, folder.path, config, None))
 
@@ -64,25 +64,25 @@ class TrainingLoop:
     def resume(
         cls, config: TrainConfig, folder: RunFolder, make_world: SimulationFactory, logger: LoggerName = "tensorboard"
     ) -> TrainingLoop:
-        """Continue a training from its folder's last checkpoint; arguments as of `create`.
+        """Resume a training from the last checkpoint of its folder. See `create` for the arguments.
 
         Raises:
             SurefootError: a checkpoint that can't be read or does not fit.
         """
         learner, state = PpoLearner(config, make_world), folder.load()
         hint = "; restore the file with which the run was started"
-        with refuse_strange_states(f"{folder.latest}: does not fit the run's config.yaml", hint):
+        with describe_state_errors(f"{folder.latest}: does not fit the run's config.yaml", hint):
             learner.set_state(state["learner"])
-        with refuse_strange_states(str(folder.latest), "; no run can be resumed from it"):
+        with describe_state_errors(str(folder.latest), "; no run can be resumed from it"):
             best, actor, seconds = read_progress(state, learner)
         folder.drop_rows_after(learner.steps)
         loop = cls(learner, folder, make_world, open_writer(logger, folder.path, config, learner.steps))
         loop.best, loop.best_actor, loop.seconds = best, actor, seconds
-        loop._saved_steps, loop._is_untried = learner.steps, True
+        loop._saved_steps, loop._is_unverified = learner.steps, True
         return loop
 
     def save(self) -> None:
-        """Save everything that the run needs to continue."""
+        """Save a checkpoint with everything that the run needs to continue."""
         if self._saved_steps == self.learner.steps:
             return
         self.folder.save(
@@ -106,50 +106,54 @@ class TrainingLoop:
         on_update: Callable[[UpdateMetrics, TrainingEvaluation | None], None],
         should_stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Train until all steps are done, or until a stop is requested; then save.
+        """Train until all steps are done or a stop is requested, then save.
 
-        The folder's policy is the best one from the first evaluation on, and after a stop.
+        From the first evaluation on, and after a stop, the folder contains the best policy so far.
 
         Args:
-            on_update: called after every update with its figures and the evaluation, if one was due.
-            should_stop: called between two updates, where the run can be saved and resumed without a difference.
+            on_update: called after every update with its metrics, and with the evaluation if there was one.
+            should_stop: called between updates; returns whether to stop. A resumed run gives the same result.
         """
         try:
             while not self.finished and not should_stop():
-                figures, evaluation = self.step()
+                metrics, evaluation = self.step()
                 if evaluation is not None:
                     self.export(self.folder.policy)
-                on_update(figures, evaluation)
+                on_update(metrics, evaluation)
             self.save()
             if not self.finished:
-                self.export(self.folder.policy, present=True)
+                self.export(self.folder.policy, current=True)
         finally:
             self.close()
 
     def step(self) -> tuple[UpdateMetrics, TrainingEvaluation | None]:
-        """Do one update, the evaluation and the checkpoint that are due then, and log; returns the first two."""
+        """Do one update, with the evaluation, the log entry and the checkpoint that are due after it.
+
+        Returns:
+            Metrics of the update, and the evaluation or None.
+        """
         start = time.perf_counter()
-        # The first update after a checkpoint shows whether its numbers make sense.
-        untried = refuse_strange_states(f"{self.folder.latest}: no training can go on from it")
-        with untried if self._is_untried else nullcontext():
-            figures = self.learner.update()
-        self._is_untried = False
+        # The first update after loading a checkpoint shows whether its numbers are valid.
+        unverified = describe_state_errors(f"{self.folder.latest}: no training can continue from it")
+        with unverified if self._is_unverified else nullcontext():
+            metrics = self.learner.update()
+        self._is_unverified = False
         evaluation = self._evaluate_if_due()
         self.seconds += time.perf_counter() - start
-        self._log(figures, evaluation)
+        self._log(metrics, evaluation)
         if self._due(self.config.checkpoint_every):
             self.save()
             state = {"steps": self.learner.steps, "actor": self.learner.policy.state_dict()}
             write_checkpoint(self.folder.checkpoints / f"steps_{self.learner.steps:09d}.ckpt", state)
-        return figures, evaluation
+        return metrics, evaluation
 
-    def export(self, path: str | Path, last: bool = False, present: bool = False) -> Path:
-        """Write the best evaluated policy as a policy file with the figures of its training.
+    def export(self, path: str | Path, last: bool = False, current: bool = False) -> Path:
+        """Write the policy with the best evaluation as a policy file, with metrics of its training.
 
         Args:
-            path: .onnx to write.
-            last: write the last evaluated policy, which is the present one, in place of the best.
-            present: evaluate the present policy too, without an effect on the training, and write it if it is better.
+            path: path of the .onnx file.
+            last: write the policy of the last evaluation, which must be the current one, instead of the best.
+            current: also evaluate the current policy, without effect on the training, and write it if it is better.
 
         Raises:
             SurefootError: the file can't be written.
@@ -158,27 +162,27 @@ class TrainingLoop:
         if last:
             training, actor = self.folder.evaluations()[-1], {}
         else:
-            if present:
+            if current:
                 now = evaluate_policy(self.learner, self._make_world, self.config.evaluation_episodes)
                 best, actor = (now, {}) if best is None or now.rank > best.rank else (best, actor)
             training = asdict(best) if best else {}
-        figures = {"seconds": round(self.seconds, 1), "seed": self.config.seed, "steps": self.learner.steps}
+        metrics = {"seconds": round(self.seconds, 1), "seed": self.config.seed, "steps": self.learner.steps}
         created, policy = time.strftime("%Y-%m-%dT%H:%M:%S%z"), self.learner.policy
         trained = {key: value.clone() for key, value in policy.state_dict().items()}
         try:
             if actor:
                 policy.load_state_dict(actor)
             with describe_os_errors(path, "written"):
-                return self.learner.export(path, {"training": training, **figures}, created)
+                return self.learner.export(path, {"training": training, **metrics}, created)
         finally:
             policy.load_state_dict(trained)
 
     def close(self) -> None:
-        """Close the log."""
+        """Close the logger."""
         close_writer(self._writer)
 
     def _due(self, every: int) -> bool:
-        """Return whether a multiple of `every` steps was passed in the last update, or the run is over."""
+        """Return whether the last update passed a multiple of `every` steps, or the run is finished."""
         before = self.learner.steps - self.config.samples_per_update
         return self.learner.steps // every > before // every or self.finished
 
@@ -191,10 +195,10 @@ class TrainingLoop:
             self.best_actor = {key: value.clone() for key, value in self.learner.policy.state_dict().items()}
         return evaluation
 
-    def _log(self, figures: UpdateMetrics, evaluation: TrainingEvaluation | None) -> None:
-        row: dict[str, Any] = {key: plain_value(value) for key, value in asdict(figures).items()}
+    def _log(self, metrics: UpdateMetrics, evaluation: TrainingEvaluation | None) -> None:
+        row: dict[str, Any] = {key: plain_value(value) for key, value in asdict(metrics).items()}
         row["seconds"] = self.seconds
         if evaluation is not None:
             row["evaluation"] = asdict(evaluation)
         self.folder.log(row)
-        write_scalars(self._writer, row, figures.steps)
+        write_scalars(self._writer, row, metrics.steps)

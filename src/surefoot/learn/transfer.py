@@ -1,4 +1,4 @@
-"""Warm starts: another run's networks as the first ones of a new run, whose inputs and outputs may differ."""
+"""Warm starts: initialization of a run with the networks of another run, whose inputs and outputs may differ."""
 
 from __future__ import annotations
 
@@ -18,50 +18,50 @@ from surefoot.learn.networks import find_architecture, load_parameters
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.learn.run_folder import RunFolder
 from surefoot.task.env import LocomotionEnv, SimulationFactory
-from surefoot.task.height_scan import AROUND, MAP
+from surefoot.task.height_scan import CRITIC_GRID, POLICY_GRID
 
 NETWORK_FIELDS = (
-    "observations",  # what the policy observes
-    "history",  # how many past ones it observes
-    "reference",  # whether it has a phase; bounds of the feedback beside a reference that serves any robot
-    "feedback",  # bounds, which say what actions mean
+    "observations",  # inputs of the policy
+    "history",  # number of past observations
+    "reference",  # observation of its phase, and narrowed bounds of the feedback if it is relative
+    "feedback",  # bounds that scale the actions
     "randomize",  # parameters that the critic observes
     "pushes",  # forces that the critic observes
     "terrain",  # heights that the critic observes
-    "reward",  # follows the reference: a weight of foothold_error needs the reference's footholds
+    "reward",  # a weight of foothold_error requires a reference with footholds
 )
-"""Fields of a task that change what networks observe or what their outputs mean, and that a warm start may change. Of
-the robot, the action, the memory and the commands, which do that too, the other run's are taken to be the same."""
+"""Fields of a task that affect the inputs of networks or the meaning of their outputs, and that may differ in a warm
+start. The robot, the action, the memory and the commands also do, but are assumed to be the same as in the other
+run."""
 
 Parameters = Mapping[str, torch.Tensor]
 """Parameters of a network, by name."""
 Input = tuple[int, str]
-"""Age [control steps] and name of a number that a network observes; `PRIVILEGED` in place of an age, if only the critic
-observes it."""
+"""Input of a network: age [control steps] and name of an observed column. The age is `PRIVILEGED` for privileged
+observations of the critic."""
 PRIVILEGED = -1
 
 
 class Network(NamedTuple):
-    """A network and what it observes."""
+    """Parameters and inputs of a network."""
 
     parameters: Parameters
     inputs: Sequence[Input]
 
 
 def warm_start(learner: PpoLearner, path: Path, make_world: SimulationFactory) -> None:
-    """Give a new run the networks of another one, so that actions stay what they were.
+    """Initialize a new run with the networks of another run, without changing the policy's actions.
 
-    Inputs are matched by name and age. What only the critic observes may be missing; the policy's inputs may not. A
-    network of another architecture is made of the policy that was evaluated best, as that part does not learn any more.
+    Inputs are matched by name and age. Inputs of the policy must not be removed; inputs of the critic may. If the new
+    run has another architecture, its frozen part is the other run's best evaluated policy.
 
     Args:
-        learner: of the new run.
+        learner: learner of the new run.
         path: folder of the other run.
-        make_world: makes the simulation.
+        make_world: factory of the simulation.
 
     Raises:
-        SurefootError: no run folder; networks of other layers, actions or architectures; an observation that is not
-            made any more.
+        SurefootError: no run folder; networks of other layers, actions or architectures; or a missing observation.
     """
     config, env, algorithm = learner.config, learner.env, learner.algorithm
     folder, former = RunFolder.open(path)
@@ -76,7 +76,7 @@ def warm_start(learner: PpoLearner, path: Path, make_world: SimulationFactory) -
             )
     networks = dict(state["learner"]["algorithm"])
     critic = Network(networks["critic_state_dict"], old["critic"])
-    networks["actor_state_dict"] = _take_actor(state, fresh["actor_state_dict"], other, env)
+    networks["actor_state_dict"] = _convert_actor(state, fresh["actor_state_dict"], other, env)
     for part in ("actor", "critic"):
         key = f"{part}_state_dict"
         networks[key] = move_inputs(Network(networks[key], old[part]), Network(fresh[key], new[part]), critic)
@@ -89,14 +89,14 @@ def warm_start(learner: PpoLearner, path: Path, make_world: SimulationFactory) -
 
 
 def network_inputs(env: LocomotionEnv, privileged_critic: bool) -> dict[str, list[Input]]:
-    """Return what the networks of a run in an environment observe, `actor` and `critic`."""
+    """Return the inputs of the networks `actor` and `critic` in an environment."""
     policy = [(age, name) for age in range(env.task.history) for name in env.observer.columns]
     privileged = [(PRIVILEGED, name) for name in env.privileged_columns] if privileged_critic else []
     return {"actor": policy, "critic": policy + privileged}
 
 
-def _take_actor(state: Mapping[str, Any], fresh: Parameters, other: LocomotionEnv, env: LocomotionEnv) -> Parameters:
-    """Return the policy of another run's state in this run's architecture and bounds, with the inputs as they were."""
+def _convert_actor(state: Mapping[str, Any], fresh: Parameters, other: LocomotionEnv, env: LocomotionEnv) -> Parameters:
+    """Convert the policy in another run's state to this run's architecture and bounds, with unchanged inputs."""
     architecture, former = find_architecture(env.task), find_architecture(other.task)
     if former not in (architecture, None):
         raise SurefootError(
@@ -109,19 +109,19 @@ def _take_actor(state: Mapping[str, Any], fresh: Parameters, other: LocomotionEn
         actor = scale_output(actor, (other.gait.low, other.gait.high), (env.gait.low, env.gait.high))
     if architecture is None or architecture is former:
         return actor
-    return architecture.adopt(fresh, actor)
+    return architecture.initial_parameters(fresh, actor)
 
 
 def scale_output(actor: Parameters, old: tuple[Array, Array], new: tuple[Array, Array]) -> dict[str, torch.Tensor]:
-    """Return a policy whose normalized actions mean the same feedback between other bounds.
+    """Scale the outputs of a policy, so that it gives the same feedback between other bounds.
 
-    An action a in [-1, 1] means the feedback low + (a + 1) (high - low) / 2, so a' = a half / half' + (middle -
-    middle') / half', where half is half the distance of the bounds. The last layer of each of its networks is scaled.
+    An action a in [-1, 1] is the feedback low + (a + 1) (high - low) / 2. Hence a' = a half / half' + (middle -
+    middle') / half', where half is half the distance between the bounds. The last layer of each network is scaled.
 
     Args:
         actor: parameters of the policy.
-        old: its lower and upper bounds (A,) of the feedback.
-        new: the bounds of the policy to return; where they are equal, nothing is scaled.
+        old: lower and upper bounds of its feedback, (A,) each.
+        new: lower and upper bounds of the returned policy. Outputs with equal bounds are not scaled.
     """
     half, wide = 0.5 * (old[1] - old[0]), 0.5 * (new[1] - new[0])
     scale = np.divide(half, wide, out=np.ones_like(half), where=wide > 0)
@@ -140,20 +140,20 @@ def scale_output(actor: Parameters, old: tuple[Array, Array], new: tuple[Array, 
 
 
 def move_inputs(network: Network, fresh: Network, critic: Network) -> dict[str, torch.Tensor]:
-    """Return a network's parameters for other inputs, with the outputs as they were.
+    """Convert a network's parameters to other inputs, without changing its outputs.
 
-    A new input has weights of 0, and the normalization that the other run's critic has for an input of its name, or
-    for the nearest point of its map of heights; else that of a fresh network. A first layer whose width is not that of
-    the inputs stays as it is.
+    New inputs have zero weights. Their normalization comes from the other run's critic if that has an input of the same
+    name or, for terrain heights, a nearby point; otherwise from a new network. First layers whose width differs from
+    the number of inputs are not changed.
 
     Args:
         network: the network.
-        fresh: a new network with the inputs that are wanted.
-        critic: the other run's critic, which normalizes more inputs.
+        fresh: a new network with the desired inputs.
+        critic: critic of the other run, which normalizes more inputs.
     """
-    places = {one: k for k, one in enumerate(network.inputs)}
-    kept = [k for k, one in enumerate(fresh.inputs) if one in places]
-    taken = [places[fresh.inputs[k]] for k in kept]
+    places = {name: k for k, name in enumerate(network.inputs)}
+    common = [k for k, name in enumerate(fresh.inputs) if name in places]
+    former = [places[fresh.inputs[k]] for k in common]
     sources = _normalized_inputs(fresh, critic)
     moved = dict(network.parameters)
     for key, start in fresh.parameters.items():
@@ -163,14 +163,14 @@ def move_inputs(network: Network, fresh: Network, critic: Network) -> dict[str, 
         moved[key] = start.clone() if normalizes else torch.zeros_like(start)
         if normalizes:
             moved[key][:, list(sources)] = critic.parameters[key][:, list(sources.values())]
-        moved[key][:, kept] = network.parameters[key][:, taken]
+        moved[key][:, common] = network.parameters[key][:, former]
     return moved
 
 
 def _normalized_inputs(fresh: Network, critic: Network) -> dict[int, int]:
-    """Return the places of a network's inputs that a critic normalizes, and their places among the critic's inputs."""
+    """Return the indices of inputs whose normalization a critic knows, mapped to indices of the critic's inputs."""
     if critic.parameters["mlp.0.weight"].shape[1] != len(critic.inputs):
         return {}
-    known, near = {name: k for k, (_, name) in enumerate(critic.inputs)}, MAP.nearest(AROUND)
-    alike = {k: name if name in known else near.get(name, name) for k, (_, name) in enumerate(fresh.inputs)}
-    return {k: known[name] for k, name in alike.items() if name in known}
+    indices, nearest = {name: k for k, (_, name) in enumerate(critic.inputs)}, POLICY_GRID.nearest(CRITIC_GRID)
+    sources = {k: name if name in indices else nearest.get(name, name) for k, (_, name) in enumerate(fresh.inputs)}
+    return {k: indices[name] for k, name in sources.items() if name in indices}

@@ -1,1 +1,1 @@
-"""The policy file: its contract, its export and the runtime that runs it."""
+"""Policy files: contract, export to ONNX, and the runtime that runs them."""

@@ -1,4 +1,4 @@
-"""The contract of a policy file: robot, observation, action, reference, rates and delays of the policy."""
+"""Contract of a policy file: the robot, observation, action, reference, rates and delays that the policy assumes."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from surefoot.robot.commands import CommandLimits
 KIND = "surefoot-policy"
 SCHEMA = 2
 METADATA_KEY = "surefoot"
-"""Property of the ONNX file that holds the contract."""
+"""Metadata key of the ONNX file under which the contract is stored."""
 ASSUMED_PARAMS = ("control_step", "servo_latency", "control_latency", "servo_kp", "servo_kd", "voltage")
 """Physical parameters that the contract states."""
 MEMORY = "memory"
-"""Prefix of the names of numbers that a policy keeps from one control step to the next."""
+"""Prefix of the action names that hold the memory of a policy, which it passes to its next control step."""
 MAX_MEMORY = 4096
 MEMORY_RANGE = 1e6
-"""Greatest number that a policy keeps."""
+"""Maximum magnitude of a memory value."""
 
 
 @dataclass(frozen=True)
-class Stated:
-    """Mark of a task's field that is the policy's interface: the contract states it itself, or some keys of it."""
+class ContractField:
+    """Annotation of a task field that belongs to the policy's interface, so that the contract states it."""
 
     keys: tuple[str, ...] = ()
-    """Keys of the table that are stated; none: the whole field is."""
+    """Keys of the field that the contract states; empty: the whole field."""
 
 
-def stated_fields(kind: type) -> set[str]:
-    """Return the dotted names of a dataclass's fields, and of keys in them, that are marked as `Stated`."""
+def contract_fields(kind: type) -> set[str]:
+    """Return the names of the fields of a dataclass that are annotated with `ContractField`, as NAME or NAME.KEY."""
     hints = typing.get_type_hints(kind, include_extras=True)
     marks = [(name, mark) for name, hint in hints.items() for mark in getattr(hint, "__metadata__", ())]
-    stated = [(name, mark.keys) for name, mark in marks if isinstance(mark, Stated)]
+    stated = [(name, mark.keys) for name, mark in marks if isinstance(mark, ContractField)]
     return {part for name, keys in stated for part in ([f"{name}.{key}" for key in keys] or [name])}
 
 
@@ -53,47 +53,47 @@ Gain = Annotated[float | tuple[float, ...], Within(0, 1e4)]
 
 @dataclass(frozen=True)
 class ObservationPart:
-    """One named part of the observation."""
+    """Named part of an observation, with its unit and frame."""
 
     name: str
     unit: str
     frame: str
 
 
-Place = Annotated[float, Within(-10, 10)]
+GridCoordinate = Annotated[float, Within(-10, 10)]
 
 
 @dataclass(frozen=True)
 class HeightMap:
-    """The grid of the map of heights, in the heading frame at the base's origin: x forward, y left, z up."""
+    """Grid of the height map, in the heading frame at the origin of the base: x forward, y left, z up."""
 
-    ahead: tuple[Place, ...]
-    """Places of its points ahead [m], rising."""
-    left: tuple[Place, ...]
-    """Places of its points to the left [m], rising. Heights have an order: by `ahead`, then by `left`."""
+    ahead: tuple[GridCoordinate, ...]
+    """x coordinates of the grid points [m], rising."""
+    left: tuple[GridCoordinate, ...]
+    """y coordinates of the grid points [m], rising. Heights are ordered by `ahead`, then by `left`."""
     age: Latency
     """Nominal age of the heights in training [s]."""
 
 
 @dataclass(frozen=True)
 class PluginRecord:
-    """A plug-in whose terms a policy uses."""
+    """Plug-in with reward terms or observations that a policy uses."""
 
     name: str
-    """Name of its file, or of its entry point."""
+    """Name of the plug-in's file or entry point."""
     sha256: str
-    """Digest of its source."""
+    """SHA-256 of its source."""
     rewards: tuple[str, ...]
-    """Reward terms of the policy's task that are its."""
+    """Reward terms of the policy's task that the plug-in defines."""
     observations: tuple[str, ...]
-    """Observations of the policy that are its."""
+    """Observations of the policy that the plug-in defines."""
 
 
 @dataclass(frozen=True)
 class Contract:
-    """What a policy needs to run on a robot. Written as JSON at full precision. Each fact stands in one place.
+    """Everything that is needed to run a policy on a robot, stored as JSON at full precision without redundancy.
 
-    Bounds of the numbers here hold for every robot; `deploy.checks.check_policy` compares it with a data sheet.
+    The bounds declared here hold for every robot; `deploy.checks.check_policy` compares a contract with a data sheet.
     """
 
     name: str
@@ -101,64 +101,64 @@ class Contract:
     robot: str
     """Name of the robot."""
     description: str
-    """Name of the robot's description, if it ships; empty, if the policy file carries it."""
+    """Name of the robot description if it is built in; empty if the policy file contains the description."""
     motor_names: tuple[str, ...]
-    """Motors, in the order of motor angles."""
+    """Names of the motors, in the order of motor angles."""
     motor_signs: tuple[float, ...]
-    """Joint angle = sign * motor angle; 1 or -1 for each motor."""
+    """Sign of each motor, 1 or -1: joint angle = sign * motor angle."""
     leg_names: tuple[str, ...]
-    """Legs, in the order of the actions."""
+    """Names of the legs, in the order of the actions."""
     observation: tuple[ObservationPart, ...]
     """Parts of an observation, in order."""
     columns: tuple[str, ...]
-    """Names of an observation's O numbers, in order."""
+    """Names of the O values of an observation, in order."""
     history: Annotated[int, Within(1, 100)]
-    """Number of last observations in the policy's input, the newest first."""
+    """Number of stacked observations in the policy's input: the current one and previous ones, newest first."""
     action_names: tuple[str, ...]
-    """Names of the feedback's A numbers: COORDINATE.LEG for each coordinate of leg space in turn, joint.MOTOR, or
-    angle.MOTOR for the motors' angles themselves. After them memory.K: numbers that move nothing, which the next
-    observation has, such as the last action in the network's own units or a hidden state; 0 at first."""
+    """Names of the A values of the feedback: COORDINATE.LEG for each coordinate of leg space in turn, joint.MOTOR, or
+    angle.MOTOR for motor angles. They are followed by memory.K: values that move nothing but are part of the next
+    observation, such as the last action in the network's own units or a hidden state. Memory starts at 0."""
     low: Annotated[tuple[float, ...], Within(-MEMORY_RANGE, MEMORY_RANGE)]
-    """Least feedback, one an action: rad; extension of serial legs in lengths of the straight leg."""
+    """Minimum feedback, one value per action [rad]; extension of serial legs relative to the straight leg's length."""
     high: Annotated[tuple[float, ...], Within(-MEMORY_RANGE, MEMORY_RANGE)]
-    """Greatest feedback, one an action."""
+    """Maximum feedback, one value per action."""
     reference: dict[str, Any] | None
-    """The open loop part of the gait, as a task's `reference`; None: zero at all times."""
+    """Open-loop part of the gait, as a task's `reference`; None: always zero."""
     rest: tuple[Angle | tuple[Angle, ...], ...]
-    """Pose of the legs in leg space in which an episode starts: each coordinate of all legs or of each."""
+    """Leg pose in leg space at the start of an episode: one value per coordinate, or one per coordinate and leg."""
     control_step: Annotated[float, Within(1e-4, 1)]
     """Time between two commands [s]."""
     servo_latency: Latency
-    """Nominal age of the servo's readings in training [s]."""
+    """Nominal age of the readings that the servo uses, in training [s]."""
     control_latency: Latency
-    """Nominal age of the policy's readings in training [s]."""
+    """Nominal age of the readings that the policy observes, in training [s]."""
     servo_kp: Gain
-    """Proportional gain in training, of all motors or of each: duty/rad of DC motors, N m/rad of joint actuators."""
+    """Proportional gain in training, one value or one per motor: duty/rad (DC motors) or N m/rad (joint actuators)."""
     servo_kd: Gain
-    """Derivative gain in training, of all motors or of each: per speed in rad/s."""
+    """Derivative gain in training, one value or one per motor: duty s/rad or N m s/rad."""
     voltage: Annotated[float | None, Within(1, 1e3)]
     """Nominal battery voltage in training [V]; None for joint actuators."""
     task: dict[str, Any]
-    """The rest of the task, for simulation: reward, randomization, ends of an episode."""
+    """Remaining task configuration, for simulation: reward, randomization, terminations."""
     config_hash: str
-    """SHA-256 of the whole configuration, as `config_hash` makes it."""
+    """SHA-256 of the whole configuration, see `config_hash`."""
     figures: dict[str, Any] = field(default_factory=dict)
-    """Figures of the run that made the policy."""
+    """Metrics of the training run that produced the policy."""
     commands: CommandLimits | None = None
-    """Limits of the commands that the policy follows; None: it follows none."""
+    """Limits of the commands that the policy follows; None if it takes no commands."""
     height_map: HeightMap | None = None
-    """The map of heights that the policy observes, or on which footholds are chosen; None: it needs none."""
+    """Height map that the policy observes or on which footholds are chosen; None if it needs none."""
     plugins: tuple[PluginRecord, ...] = ()
-    """Plug-ins whose terms it uses. The observations must be there to run it, the reward terms need not."""
+    """Plug-ins that the policy uses. To run it, their observations must be available, but not their reward terms."""
     version: str = ""
-    """Version of surefoot that wrote it."""
+    """Version of surefoot that wrote the file."""
     created: str = ""
-    """When it was written, ISO 8601; may be empty."""
+    """Date of creation, ISO 8601; may be empty."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers out of bounds; keep only what JSON can hold."""
+        """Reject values out of bounds, and convert tables to JSON values."""
         for name in ("task", "figures", "reference"):
-            object.__setattr__(self, name, plain(getattr(self, name)))
+            object.__setattr__(self, name, to_json_value(getattr(self, name)))
         for k, name in enumerate(self.action_names):
             if not name.startswith(f"{MEMORY}."):
                 for end in ("low", "high"):
@@ -179,13 +179,15 @@ class Contract:
                 )
         for numbers in self.rest:
             if isinstance(numbers, tuple) and len(numbers) != len(self.leg_names):
-                raise SurefootError(f"contract.rest has {len(numbers)} numbers in one; it must have one or one a leg")
+                raise SurefootError(
+                    f"contract.rest has {len(numbers)} numbers for a coordinate; it must have one, or one per leg"
+                )
         if "file" in (self.reference or {}):
-            raise SurefootError("contract.reference names a file; a policy holds the rows of its table itself")
+            raise SurefootError("contract.reference names a file; a policy must contain the rows of its table")
 
     @property
     def width(self) -> int:
-        """Numbers that the policy takes: O for each observation of the history."""
+        """Number of inputs of the policy: O * history."""
         return len(self.columns) * self.history
 
     def to_json(self) -> str:
@@ -198,10 +200,10 @@ class Contract:
         """Read a contract.
 
         Raises:
-            SurefootError: no JSON, no contract, one of another schema, or other keys and values than a contract has.
+            SurefootError: the text is not JSON, not a contract, of another schema, or has invalid keys or values.
         """
         try:
-            data = json.loads(text, parse_constant=_finite, parse_float=_finite, parse_int=_whole)
+            data = json.loads(text, parse_constant=_parse_float, parse_float=_parse_float, parse_int=_parse_int)
         except ValueError as error:
             raise SurefootError(f"contract: is not JSON: {error}") from error
         if not isinstance(data, dict) or data.pop("kind", None) != KIND:
@@ -215,35 +217,35 @@ class Contract:
         return from_mapping(cls, data, "contract")
 
 
-def _finite(text: str) -> float:
-    """Return a number of JSON; NaN and numbers that are too large are errors."""
+def _parse_float(text: str) -> float:
+    """Parse a JSON number; NaN and numbers that are too large are errors."""
     value = float(text)
     if not math.isfinite(value):
         raise ValueError(f"it holds {text:.40}; numbers must be finite")
     return value
 
 
-def _whole(text: str) -> int:
-    """Return an integer of JSON of at most 64 bits, as arrays hold."""
-    if abs(_finite(text)) >= 2.0**64:
+def _parse_int(text: str) -> int:
+    """Parse a JSON integer that fits into 64 bits."""
+    if abs(_parse_float(text)) >= 2.0**64:
         raise ValueError(f"it holds {text:.40}; whole numbers must be below 2^64")
     return int(text)
 
 
-def plain(value: Any) -> Any:
-    """Return tables, lists, text and numbers as JSON values; a number that is not finite becomes None."""
+def to_json_value(value: Any) -> Any:
+    """Convert mappings, sequences, arrays, strings and numbers to JSON values; non-finite numbers become None."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json_value(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return plain(value.tolist())
+        return to_json_value(value.tolist())
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json_value(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
 
 
 def config_hash(config: Mapping[str, Any]) -> str:
-    """Return the SHA-256 of a configuration as canonical JSON: keys sorted, no blanks."""
-    text = json.dumps(plain(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    """Return the SHA-256 of a configuration in canonical JSON (sorted keys, no whitespace)."""
+    text = json.dumps(to_json_value(config), sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()

@@ -1,18 +1,18 @@
-"""The digest of a policy file, which shows that its network and its contract are those that were exported together.
+"""Digest of a policy file, which verifies that network and contract were exported together.
 
-An export writes the SHA-256 of both, and of the robot if the file carries one, as a further property of the file:
+An export stores the SHA-256 of both, and of the robot if the file contains one, in another property of the file:
 
     SHA-256( contract as JSON | 00 | graph )
     SHA-256( contract as JSON | 00 | robot's archive in base64 | 00 | graph )
 
-`graph` are the bytes of field 7 of the ONNX file's `ModelProto`: operators, normalizer, weights, bounds. The robot's
-computer has no `onnx` package and onnxruntime does not expose these bytes, so the top level of the protobuf message is
-read here. Whatever else a model could have there (functions, other properties, another version of the operators) is
-refused, so that nothing beside these decides what is computed. The digest does not cover the fields that say who made
-the file (`producer_name`, `producer_version`) and in which version of the format (`ir_version`): they can be changed
-without notice, and surefoot reads none of them.
+`graph` is the content of field 7 of ONNX's `ModelProto`: operators, normalizer, weights, bounds. The robot's computer
+has no `onnx` package and onnxruntime does not expose these bytes, so this module reads the top level of the protobuf
+message. All other content that a model could have there (functions, other properties, another operator version) is
+rejected, so that only the graph decides what is computed. The digest does not cover the producer (`producer_name`,
+`producer_version`) and the format version (`ir_version`): they can be changed without notice, and surefoot does not use
+them.
 
-Whoever changes a file can write a new digest too: it detects damage and stale exports, and is not a signature.
+The digest detects damage and stale exports. It is not a signature: anybody who changes a file can write a new digest.
 """
 
 from __future__ import annotations
@@ -24,39 +24,41 @@ from dataclasses import dataclass
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import METADATA_KEY
 from surefoot.policy.network import MAX_BYTES, OPSET
-from surefoot.policy.protobuf import BYTES, MANY, NUMBER, encode_field, read_message
+from surefoot.policy.protobuf import BYTES, BYTES_LIST, NUMBER, encode_field, read_message
 
 DIGEST_KEY = "surefoot-digest"
-"""Property of the ONNX file that holds the digest, in hexadecimal."""
+"""Metadata key of the ONNX file under which the digest is stored, in hexadecimal."""
 ROBOT_KEY = "surefoot-robot"
-"""Property that holds the archive of a robot that does not ship, in base64."""
+"""Metadata key of the archive of a robot that is not built in, in base64."""
 _GRAPH, _OPSET, _PROPERTIES, _KEY, _VALUE = 7, 8, 14, 1, 2
-_MODEL = {1: NUMBER, 2: BYTES, 3: BYTES, _GRAPH: BYTES, _OPSET: BYTES, _PROPERTIES: MANY}
-"""Fields of a model: version of the format, its producer, and these."""
+_MODEL = {1: NUMBER, 2: BYTES, 3: BYTES, _GRAPH: BYTES, _OPSET: BYTES, _PROPERTIES: BYTES_LIST}
+"""Allowed fields of a model: format version, producer name and version, graph, operator sets, properties."""
 
 
 @dataclass(frozen=True)
 class PolicyParts:
-    """The parts of a policy file that the digest covers, and the digest that the file states."""
+    """Parts of a policy file that the digest covers, and the digest stored in the file."""
 
     graph: bytes
-    """The computation, with all of its constants."""
+    """The ONNX graph with all its constants."""
     contract: bytes
+    """The contract as JSON."""
     robot: bytes
-    """Archive of the robot in base64; empty, if the robot ships."""
-    stated_digest: bytes | None
+    """Archive of the robot in base64; empty for a built-in robot."""
+    stored_digest: bytes | None
+    """The digest stored in the file, in hexadecimal; None if it has none."""
 
     @property
     def digest(self) -> str:
-        """SHA-256 of contract, robot and graph, in hexadecimal."""
+        """Actual SHA-256 of contract, robot and graph, in hexadecimal."""
         robot = self.robot + b"\0" if self.robot else b""
         return hashlib.sha256(self.contract + b"\0" + robot + self.graph).hexdigest()
 
     def robot_archive(self) -> bytes:
-        """Return the robot's archive, whose contents are not checked; empty, if the file carries none.
+        """Return the robot's archive without checking its contents; empty if the file has none.
 
         Raises:
-            SurefootError: no base64.
+            SurefootError: it is not base64.
         """
         try:
             return base64.b64decode(self.robot, validate=True)
@@ -65,10 +67,11 @@ class PolicyParts:
 
 
 def read_parts(data: bytes) -> PolicyParts:
-    """Return the parts of a policy file; its digest is not checked.
+    """Split a policy file into its parts, without checking the digest.
 
     Raises:
-        SurefootError: the bytes are not an ONNX file, have no contract, or hold more than surefoot writes.
+        SurefootError: the bytes are not an ONNX file, have no contract, or contain anything that surefoot does not
+            write.
     """
     if len(data) > MAX_BYTES:
         raise SurefootError(f"has over {MAX_BYTES >> 20} MiB; a policy is smaller")
@@ -94,24 +97,24 @@ def read_parts(data: bytes) -> PolicyParts:
 
 
 def check_digest(data: bytes) -> PolicyParts:
-    """Return the parts of a policy file whose digest matches them.
+    """Return the parts of a policy file after checking its digest.
 
     Raises:
-        SurefootError: the digest is missing or another one, or as of `read_parts`.
+        SurefootError: the digest is missing or does not match, or as in `read_parts`.
     """
     parts = read_parts(data)
-    if parts.stated_digest is None:
+    if parts.stored_digest is None:
         raise SurefootError("has no digest; surefoot runs only policies that it exported")
-    if parts.stated_digest != parts.digest.encode():
+    if parts.stored_digest != parts.digest.encode():
         raise SurefootError(
             "its digest does not match: the network or the contract was changed after the export, so that the contract "
-            "may no longer say what the network does; export the policy again"
+            "may no longer describe the network; export the policy again"
         )
     return parts
 
 
 def add_digest(data: bytes) -> bytes:
-    """Return a policy file with its digest added; all else stays the same, to the byte."""
+    """Return a policy file with its digest appended; all other bytes stay unchanged."""
     pairs = ((_KEY, DIGEST_KEY.encode()), (_VALUE, read_parts(data).digest.encode()))
-    # Fields of a protobuf message may stand in any order: one more property goes to the end.
+    # The fields of a protobuf message may be in any order, so the property can be appended.
     return data + encode_field(_PROPERTIES, b"".join(encode_field(number, value) for number, value in pairs))

@@ -1,4 +1,4 @@
-"""A policy as one ONNX file: normalizer, network, bounds, contract and digest in it."""
+"""Export of a policy to a single ONNX file with normalizer, network, bounds, contract and digest."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _SAMPLES = 64
 _TOLERANCE = 1e-4
-"""Greatest difference between network and file, in half widths of the bounds."""
+"""Maximum difference between network and file, relative to the half width of the bounds."""
 
 
 def export_policy(
@@ -33,21 +33,22 @@ def export_policy(
     output: Literal["action", "feedback"] = "action",
     robot: bytes = b"",
 ) -> Path:
-    """Write a network as a policy file; the file appears whole or not at all.
+    """Write a network as a policy file, atomically.
 
-    With a = clip(network(observation), -1, 1) the file computes feedback = low + (a + 1) / 2 (high - low). With an
-    output of feedback it computes clip(network(observation), low, high).
+    If the network returns actions, the file computes feedback = low + (a + 1) / 2 (high - low) with
+    a = clip(network(observation), -1, 1). If it returns feedback, the file computes
+    clip(network(observation), low, high).
 
     Args:
-        network: takes raw observations (N, O * history) in SI units as 32-bit numbers; gives (N, A).
-        contract: the policy's; its bounds are constants of the file.
-        path: .onnx to write.
-        output: what the network gives: actions, as environments take them, or feedback in leg space.
-        robot: archive of a robot that does not ship (`RobotDescription.archive`), which the file is to carry.
+        network: network from raw observations (N, O * history) in SI units as 32-bit floats to outputs (N, A).
+        contract: contract of the policy; its bounds become constants of the file.
+        path: .onnx file to write.
+        output: output of the network: actions, as environments take them, or feedback in leg space.
+        robot: archive of a robot that is not built in (`RobotDescription.archive`), to include in the file.
 
     Raises:
-        SurefootError: another ending, a network that does not fit its contract or can't be written, or numbers that
-            are not finite.
+        SurefootError: the path does not end in .onnx, the network does not fit the contract or can't be exported, or
+            it has non-finite numbers.
     """
     path = Path(path)
     if path.suffix != ".onnx":
@@ -57,20 +58,20 @@ def export_policy(
     try:
         data = _build_model(network, contract, output, robot)
         check_network(read_parts(data).graph)
-        signed = add_digest(data)
-        _compare(network, PolicyRuntime.parse(signed), output)
+        content = add_digest(data)
+        _compare_outputs(network, PolicyRuntime.parse(content), output)
     except SurefootError as error:
         raise SurefootError(f"policy file {path}: {error}; it is not written") from error
     finally:
         for module, mode in modes.items():
             module.training = mode
     path.parent.mkdir(parents=True, exist_ok=True)
-    atomic_write(path, signed)
+    atomic_write(path, content)
     return path
 
 
 def _build_model(network: nn.Module, contract: Contract, output: str, robot: bytes) -> bytes:
-    """Return the ONNX model of a network, without digest."""
+    """Return the ONNX model of a network, without its digest."""
     low, high = np.array(contract.low), np.array(contract.high)
     half, middle = (high - low)[None] / 2, (high + low)[None] / 2
     graph = Graph()
@@ -85,8 +86,8 @@ def _build_model(network: nn.Module, contract: Contract, output: str, robot: byt
     return graph.to_model(contract, robot)
 
 
-def _compare(network: nn.Module, policy: PolicyRuntime, output: str) -> None:
-    """Refuse a file that computes something else than its network, for example of one that mixes rows."""
+def _compare_outputs(network: nn.Module, policy: PolicyRuntime, output: str) -> None:
+    """Reject a file that computes other outputs than its network, such as for a network that mixes rows of a batch."""
     low, high = np.array(policy.contract.low), np.array(policy.contract.high)
     observation = np.random.default_rng(0).normal(size=(_SAMPLES, policy.contract.width)).astype(np.float32)
     device = next((one.device for one in network.parameters()), torch.device("cpu"))
@@ -96,6 +97,6 @@ def _compare(network: nn.Module, policy: PolicyRuntime, output: str) -> None:
     difference = np.abs(policy.feedback(observation) - expected) / np.where(high > low, (high - low) / 2, 1.0)
     if not difference.max() <= _TOLERANCE:
         raise SurefootError(
-            f"the file would give other actions than the network, by up to {difference.max():.2g}: does it mix the "
-            "robots of a batch, or change from call to call?"
+            f"the file would return other actions than the network, by up to {difference.max():.2g}: does the network "
+            "mix the robots of a batch, or change between calls?"
         )

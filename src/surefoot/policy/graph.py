@@ -1,4 +1,4 @@
-"""The graph of a policy file while it is made, and the file's bytes: the few operators that `network.py` allows."""
+"""Builder of the ONNX graph of a policy file, with the few operators that `network.py` allows."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from surefoot.policy.digest import ROBOT_KEY
 from surefoot.policy.network import INPUT, OPSET, OUTPUT
 
 IR_VERSION = 8
-LARGEST = float(np.finfo(np.float32).max)
+MAX_FLOAT = float(np.finfo(np.float32).max)
 
 
 class Value(NamedTuple):
-    """A value (N, width) that depends on the observation, by name."""
+    """Named value (N, width) of the graph that depends on the observation."""
 
     name: str
     width: int
 
 
 class Graph:
-    """Nodes and constants of a graph."""
+    """Nodes and constants of an ONNX graph under construction."""
 
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
         self.constants: list[onnx.TensorProto] = []
 
     def constant(self, array: Any, name: str = "") -> str:
-        """Add a constant of 32-bit numbers; return its name."""
+        """Add a constant of 32-bit floats and return its name."""
         name = name or f"constant_{len(self.constants)}"
         self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array, np.float32), name))
         return name
 
     def apply(self, kind: str, *values: str, result: str = "", **attributes: Any) -> str:
-        """Apply an operator to values; return the name of its result."""
+        """Apply an operator to values and return the name of the result."""
         result = result or f"{kind.lower()}_{len(self.nodes)}"
         self.nodes.append(helper.make_node(kind, values, [result], **attributes))
         return result
@@ -53,13 +53,13 @@ class Graph:
         return Value(name, len(transposed))
 
     def select(self, value: Value, columns: Sequence[int]) -> Value:
-        """Return columns of a value, in that order."""
+        """Select columns of a value, in the given order."""
         weight = np.zeros((value.width, len(columns)))
         weight[columns, np.arange(len(columns))] = 1.0
         return self.linear(value.name, weight)
 
     def join(self, values: Sequence[Value]) -> Value:
-        """Return values side by side: the sum of each in its own columns, zero in the others."""
+        """Concatenate values along columns, as a sum of values that are each padded with zeros to the full width."""
         if len(values) == 1:
             return values[0]
         width, start = sum(value.width for value in values), 0
@@ -73,12 +73,12 @@ class Graph:
         return Value(total, width)
 
     def norm(self, value: Value) -> Value:
-        """Return the length (N, 1) of each row."""
+        """Return the Euclidean norm (N, 1) of each row."""
         squares = self.apply("Mul", value.name, value.name)
         return Value(self.apply("Sqrt", self.linear(squares, np.ones((value.width, 1))).name), 1)
 
     def leaky_relu(self, value: str, slope: float) -> str:
-        """Apply a leaky ReLU with a slope below zero."""
+        """Apply a leaky ReLU with the given slope for negative inputs."""
         above = self.apply("Mul", self.apply("Relu", value), self.constant(1.0 - slope))
         return self.apply("Add", self.apply("Mul", value, self.constant(slope)), above)
 
@@ -87,19 +87,19 @@ class Graph:
         result = self.apply("Elu", value)
         if alpha == 1:
             return result
-        # The part above zero has no alpha.
+        # Only negative inputs are scaled by alpha.
         above = self.apply("Mul", self.apply("Relu", value), self.constant(1.0 - alpha))
         return self.apply("Add", self.apply("Mul", result, self.constant(alpha)), above)
 
     def clip(self, value: str, low: float, high: float) -> str:
-        """Clip to numbers that may be infinite."""
-        bounds = (self.constant(float(np.clip(bound, -LARGEST, LARGEST))) for bound in (low, high))
+        """Clip to bounds that may be infinite."""
+        bounds = (self.constant(float(np.clip(bound, -MAX_FLOAT, MAX_FLOAT))) for bound in (low, high))
         return self.apply("Clip", value, *bounds)
 
     def to_onnx(
         self, inputs: Sequence[Value], outputs: Sequence[Value], name: str = "", version: str = ""
     ) -> onnx.ModelProto:
-        """Return the graph as a model of ONNX with these inputs and outputs."""
+        """Return the graph as an ONNX model with the given inputs and outputs."""
         ends = [
             [helper.make_tensor_value_info(one.name, TensorProto.FLOAT, ["N", one.width]) for one in values]
             for values in (inputs, outputs)
@@ -113,11 +113,11 @@ class Graph:
         )
 
     def to_model(self, contract: Contract, robot: bytes) -> bytes:
-        """Return the policy file whose output is `OUTPUT`, without digest.
+        """Return the bytes of the policy file, without digest; the graph must define `OUTPUT`.
 
         Args:
-            contract: the policy's.
-            robot: archive of a robot that does not ship, which the file is to carry.
+            contract: contract of the policy.
+            robot: archive of a robot that is not built in, to include in the file.
         """
         inputs, outputs = [Value(INPUT, contract.width)], [Value(OUTPUT, len(contract.action_names))]
         model = self.to_onnx(inputs, outputs, "policy", contract.version)

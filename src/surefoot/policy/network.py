@@ -1,8 +1,8 @@
-"""Check of the network of a policy file, before onnxruntime loads the file.
+"""Check of the network in a policy file before onnxruntime loads it.
 
-ONNX can loop for ever and make gigabytes out of ten bytes. What surefoot exports is a multilayer perceptron: each
-node takes the result of an earlier one, and constants in the file. So memory is bounded by the size of the file, and
-time by the number of weights.
+An arbitrary ONNX file can loop indefinitely and expand ten bytes to gigabytes. Surefoot exports only multilayer
+perceptrons, in which each node takes the result of an earlier node and constants of the file. Their memory is bounded
+by the size of the file, and their time by the number of weights.
 """
 
 from __future__ import annotations
@@ -12,41 +12,42 @@ import math
 import numpy as np
 
 from surefoot.errors import SurefootError, choices
-from surefoot.policy.protobuf import BYTES, MANY, NUMBER, NUMBERS, read_message
+from surefoot.policy.protobuf import BYTES, BYTES_LIST, NUMBER, NUMBERS, read_message
 
 OPSET = 17
-"""Version of the operators' definitions that surefoot writes and reads."""
+"""Version of the ONNX operator set that surefoot writes and reads."""
 INPUT, OUTPUT = "observation", "feedback"
 OPERATORS = {
     **{"Sub": 2, "Div": 2, "Mul": 2, "Add": 2, "Gemm": 3, "Clip": 3},
     **{"Elu": 1, "Relu": 1, "Tanh": 1, "Selu": 1, "Sigmoid": 1},
     **{"Min": 2, "Max": 2, "Sqrt": 1, "LayerNormalization": 3},
 }
-"""Operators that a network may have, and how many inputs each takes."""
+"""Allowed operators, and the number of inputs of each."""
 MAX_BYTES = 64 * 2**20
-"""Size of a policy file; those of the gaits that ship have some 90 kB."""
+"""Maximum size of a policy file; the built-in gaits have some 90 kB."""
 MAX_NODES = 512
 MAX_WIDTH = 16384
-"""Rows or columns of a constant."""
+"""Maximum number of rows or columns of a constant."""
 _CONSTANT_OPERANDS = ("Gemm", "LayerNormalization")
-"""Operators that take constants besides their first input."""
-_GRAPH = {1: MANY, 2: BYTES, 5: MANY, 11: MANY, 12: MANY}
-_NODE = {1: MANY, 2: MANY, 3: BYTES, 4: BYTES, 5: MANY}
+"""Operators whose inputs other than the first must be constants."""
+_GRAPH = {1: BYTES_LIST, 2: BYTES, 5: BYTES_LIST, 11: BYTES_LIST, 12: BYTES_LIST}
+_NODE = {1: BYTES_LIST, 2: BYTES_LIST, 3: BYTES, 4: BYTES, 5: BYTES_LIST}
 _ATTRIBUTE = {1: BYTES, 3: NUMBER, 20: NUMBER}
 _TENSOR = {1: NUMBERS, 2: NUMBER, 8: BYTES, 9: BYTES}
 _FLOAT = 1
 _TRANSPOSED = {1: [b"transB"], 3: [1], 20: [2]}
-"""The one attribute that surefoot writes: a Gemm's weights are (out, in)."""
+"""The only attribute that surefoot writes (transB = 1): the weights of a Gemm have the shape (out, in)."""
 
 
 def check_network(graph: bytes) -> None:
-    """Refuse a network that surefoot could not have exported.
+    """Reject a network that surefoot could not have exported.
 
     Args:
-        graph: ONNX's `GraphProto`, as it stands in the file.
+        graph: bytes of the file's `GraphProto`.
 
     Raises:
-        SurefootError: another operator or attribute, constants of another type or not finite, or too many or too large.
+        SurefootError: the network has another operator or attribute, constants that are of another type, not finite or
+            too large, or too many nodes.
     """
     parts = read_message(graph, "graph", _GRAPH)
     if len(parts[1]) > MAX_NODES:
@@ -71,29 +72,29 @@ def _constant(tensor: bytes) -> tuple[bytes, tuple[int, ...]]:
     name, shape, data = b"".join(parts[8]), tuple(parts[1]), b"".join(parts[9])
     if len(shape) > 2 or any(not 0 < size <= MAX_WIDTH for size in shape):
         raise SurefootError(
-            f"constant {_quoted(name)} has shape {shape}; at most 2 dimensions of 1 to {MAX_WIDTH} are allowed"
+            f"constant {_quoted(name)} has shape {shape}; at most 2 dimensions of size 1 to {MAX_WIDTH} are allowed"
         )
     if parts[2] != [_FLOAT] or len(data) != 4 * math.prod(shape):
-        raise SurefootError(f"constant {_quoted(name)} does not hold 32-bit numbers for its shape {shape}")
+        raise SurefootError(f"constant {_quoted(name)} does not hold 32-bit floats for its shape {shape}")
     if not np.isfinite(np.frombuffer(data, "<f4")).all():
         raise SurefootError(f"constant {_quoted(name)} holds numbers that are not finite")
     return name, shape
 
 
 def _node(node: bytes, shapes: dict[bytes, tuple[int, ...]], results: set[bytes]) -> bytes:
-    """Check a node; return the name of its result."""
+    """Check a node and return the name of its result."""
     parts = read_message(node, "node", _NODE)
     kind = b"".join(parts[4]).decode(errors="replace")
     inputs, outputs = parts[1], parts[2]
     if kind not in OPERATORS:
         raise SurefootError(f"its network has operator {kind[:40]!r}; allowed are {choices(OPERATORS)}")
     if len(inputs) != OPERATORS[kind] or len(outputs) != 1 or inputs[0] not in results:
-        raise SurefootError(f"its network has a {kind} that surefoot could not have written: see its inputs")
+        raise SurefootError(f"its network has a {kind} with inputs that surefoot could not have written")
     weights = inputs[1:2] if kind == "Gemm" else []
     for name in inputs[1:]:
         if name not in shapes and (name not in results or kind in _CONSTANT_OPERANDS):
-            raise SurefootError(f"its network has a {kind} of {_quoted(name)}, which is not a value that it can take")
-        # More than one row beside the batch would make the result as large as both together.
+            raise SurefootError(f"its network has a {kind} of {_quoted(name)}, which is not an allowed input")
+        # A constant with several rows would be broadcast with the batch, which makes results of unbounded size.
         if math.prod(shapes.get(name, ())[:-1]) > 1 and name not in weights:
             raise SurefootError(f"its network has a {kind} of {_quoted(name)}, which has more than one row")
     attributes = [read_message(attribute, "attribute", _ATTRIBUTE) for attribute in parts[5]]
@@ -103,5 +104,5 @@ def _node(node: bytes, shapes: dict[bytes, tuple[int, ...]], results: set[bytes]
 
 
 def _quoted(name: bytes) -> str:
-    """Return a name from a file, safe to print."""
+    """Return a name from a file, truncated and escaped for printing."""
     return repr(name[:40].decode(errors="replace"))

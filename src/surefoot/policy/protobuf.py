@@ -1,7 +1,7 @@
-"""A strict reader of protobuf messages: the robot's computer has no `onnx` package.
+"""Strict reader of protobuf messages (https://protobuf.dev/programming-guides/encoding).
 
-A message may hold the fields that its layout names, and nothing else: onnxruntime might use what this reader
-skipped (https://protobuf.dev/programming-guides/encoding).
+The robot's computer has no `onnx` package. A message may hold only the fields of its layout, because onnxruntime might
+use fields that this reader skips.
 """
 
 from __future__ import annotations
@@ -12,24 +12,24 @@ from typing import Any
 from surefoot.errors import SurefootError
 
 VARINT, LENGTH = 0, 2
-NUMBER, NUMBERS, BYTES, MANY = (VARINT, False), (VARINT, True), (LENGTH, False), (LENGTH, True)
-"""Kinds of fields: an integer, several, one run of bytes (text or a message), several."""
+NUMBER, NUMBERS, BYTES, BYTES_LIST = (VARINT, False), (VARINT, True), (LENGTH, False), (LENGTH, True)
+"""Kinds of fields: an integer, repeated integers, bytes (text or a message), repeated bytes."""
 MAX_REPETITIONS = 1024
-"""How often a repeated field stands in a message at most."""
+"""Maximum number of occurrences of a repeated field."""
 _SIZES = {1: 8, 5: 4}
-"""Bytes of a number of fixed size, by wire type."""
+"""Size of fixed-size numbers [bytes], by wire type."""
 
 
 def read_message(data: bytes, name: str, layout: Mapping[int, tuple[int, bool]]) -> dict[int, list[Any]]:
-    """Return all values of each field of a message, in order; a missing field has none.
+    """Return the list of values of each field of a message, in order; the list of a missing field is empty.
 
     Args:
-        data: the message.
+        data: bytes of the message.
         name: name of the message, for errors.
-        layout: kind of each field that it may have, by number.
+        layout: kind of each allowed field, by field number.
 
     Raises:
-        SurefootError: no message, a field that is not in the layout or of another kind, or one too often.
+        SurefootError: the data are not a message, or a field is not allowed, of another kind, or repeated too often.
     """
     values: dict[int, list[Any]] = {number: [] for number in layout}
     for number, wire, value in _fields(data):
@@ -45,7 +45,7 @@ def read_message(data: bytes, name: str, layout: Mapping[int, tuple[int, bool]])
 
 
 def encode_field(number: int, value: bytes) -> bytes:
-    """Return a field that holds bytes, encoded for a message."""
+    """Encode a field that holds bytes."""
     return _encode_varint(number << 3 | LENGTH) + _encode_varint(len(value)) + value
 
 
@@ -58,7 +58,7 @@ def _encode_varint(number: int) -> bytes:
 
 
 def _fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
-    """Yield number, wire type and value of each field of a message."""
+    """Yield field number, wire type and value of each field of a message."""
     at = 0
     while at < len(data):
         start = at
@@ -73,7 +73,7 @@ def _fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
         elif wire in _SIZES:
             size = _SIZES[wire]
         else:
-            raise SurefootError(f"is damaged or not ONNX: byte {start} starts no field")
+            raise SurefootError(f"is damaged or not ONNX: no valid field starts at byte {start}")
         if at + size > len(data):
             raise SurefootError(f"is damaged or not ONNX: cut off at byte {len(data)}")
         yield tag >> 3, wire, data[at : at + size]
@@ -81,10 +81,10 @@ def _fields(data: bytes) -> Iterator[tuple[int, int, int | bytes]]:
 
 
 def _read_varint(data: bytes, at: int) -> tuple[int, int]:
-    """Return a varint (seven bits a byte, the lowest first) and the position after it."""
+    """Return a varint (seven bits per byte, lowest first) and the position after it."""
     number = 0
     for place, byte in enumerate(data[at : at + 10]):
         number |= (byte & 0x7F) << 7 * place
         if byte < 0x80:
             return number, at + place + 1
-    raise SurefootError(f"is damaged or not ONNX: byte {at} starts no number")
+    raise SurefootError(f"is damaged or not ONNX: no valid number starts at byte {at}")

@@ -1,4 +1,4 @@
-"""Runtime of policy files, with numpy and onnxruntime only, for the robot's computer."""
+"""Runtime of policy files for the robot's computer, which needs only numpy and onnxruntime."""
 
 from __future__ import annotations
 
@@ -18,15 +18,12 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.archive import unpack_robot
 
 with stdout_to_stderr():
-    # onnxruntime warns of unknown processors and devices while it is loaded, not only when it is used.
+    # onnxruntime prints warnings about unknown processors and devices when it is imported, not only when it is used.
     import onnxruntime
 
 
 class PolicyRuntime:
-    """A policy file, loaded and checked: readings in SI units in, feedback in leg space out.
-
-    Make it with `load`.
-    """
+    """Loaded policy file, which maps observations in SI units to feedback in leg space. Create it with `load`."""
 
     def __init__(self, session: onnxruntime.InferenceSession, contract: Contract, robot: bytes = b"") -> None:
         self._session, self.contract, self._robot = session, contract, robot
@@ -37,8 +34,8 @@ class PolicyRuntime:
         """Load a policy file.
 
         Raises:
-            SurefootError: the file is missing, damaged, no policy, of another schema, different from its contract, or
-                changed since it was exported.
+            SurefootError: the file is missing, damaged, not a policy, of another schema, inconsistent with its
+                contract, or changed since it was exported.
         """
         path = Path(path)
         with describe_os_errors(f"policy file {path}"), path.open("rb") as file:
@@ -51,12 +48,12 @@ class PolicyRuntime:
         """Check the bytes of a policy file and load them.
 
         Raises:
-            SurefootError: as `load`.
+            SurefootError: as in `load`.
         """
         if not data:
             raise SurefootError("is empty; a policy is an ONNX file that surefoot exported")
         try:
-            # Nothing of a file is run before all of this has passed.
+            # No part of a file is run before all these checks have passed.
             parts = check_digest(data)
             check_network(parts.graph)
             contract = Contract.from_json(parts.contract.decode())
@@ -65,21 +62,21 @@ class PolicyRuntime:
         try:
             with stdout_to_stderr():
                 session = onnxruntime.InferenceSession(data, _options(), providers=["CPUExecutionProvider"])
-        except Exception as error:  # onnxruntime's errors have no common class of their own.
+        except Exception as error:  # errors of onnxruntime have no common base class
             reason = " ".join(str(error).split()).rsplit(" : ", 1)[-1]
             raise SurefootError(f"is damaged or not ONNX: {reason}") from error
         _check_tensor("input", session.get_inputs(), INPUT, contract.width)
         _check_tensor("output", session.get_outputs(), OUTPUT, len(contract.action_names))
         robot = parts.robot_archive()
         if not robot and not contract.description:
-            raise SurefootError(f"lacks its robot '{contract.robot}', which does not ship; export it again")
+            raise SurefootError(f"lacks its robot '{contract.robot}', which is not built in; export the policy again")
         return cls(session, contract, robot)
 
     def load_robot(self, robot: str | None = None) -> RobotDescription:
-        """Return the robot to run on: by name or folder, else the one that the file carries, else its own that ships.
+        """Load the robot to run on: the named robot or folder, or by default the policy's own robot.
 
         Raises:
-            SurefootError: no such robot, or an invalid one.
+            SurefootError: the robot does not exist or is invalid.
         """
         if robot is None and self._robot:
             with prefix_errors(f"policy '{self.contract.name}'"):
@@ -87,10 +84,10 @@ class PolicyRuntime:
         return RobotDescription.load(robot or self.contract.description)
 
     def feedback(self, observation: ArrayLike) -> Array:
-        """Return the feedback (N, A) within the contract's bounds for observations (N, O * history).
+        """Return the feedback (N, A), within the contract's bounds, for observations (N, O * history).
 
         Raises:
-            SurefootError: observations of another shape, or a number that is not finite, in or out.
+            SurefootError: the observations have another shape, or inputs or outputs are not finite.
         """
         inputs = np.asarray(observation, np.float32)
         if inputs.ndim != 2 or inputs.shape[1] != self.contract.width:
@@ -98,29 +95,29 @@ class PolicyRuntime:
         if not np.isfinite(inputs).all():
             column = int(np.argwhere(~np.isfinite(inputs))[0][1]) % len(self.contract.columns)
             raise SurefootError(
-                f"observation '{self.contract.columns[column]}' is not finite; every reading must be a number"
+                f"observation '{self.contract.columns[column]}' is not finite; all readings must be finite"
             )
         (raw,) = self._session.run(None, {INPUT: np.ascontiguousarray(inputs)})
         if not np.isfinite(raw).all():
             raise SurefootError(f"policy '{self.contract.name}' gave feedback that is not finite; it can't be run")
-        # 32-bit numbers may miss a bound by a rounding.
+        # 32-bit floats may exceed a bound by a rounding error.
         bounded: Array = np.clip(np.asarray(raw, np.float64), self._low, self._high)
         return bounded
 
 
 def _options() -> onnxruntime.SessionOptions:
-    """Return session options with one thread and no output: a second thread does not pay for so small a network."""
+    """Return session options with a single thread, which is fastest for such small networks, and without output."""
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.log_severity_level = 4
-    # Otherwise onnxruntime would run a file in its own format that is hidden in this one, and was not checked.
+    # Without this, onnxruntime would also accept its own file format, hidden in this file, which was not checked.
     options.add_session_config_entry("session.load_model_format", "ONNX")
     return options
 
 
 def _check_tensor(end: str, tensors: list[Any], name: str, width: int) -> None:
-    """Refuse inputs or outputs that are not one tensor (N, width) of 32-bit numbers."""
+    """Reject inputs or outputs other than a single tensor (N, width) of 32-bit floats."""
     match tensors:
         case [tensor] if tensor.name == name and tensor.type == "tensor(float)":
             if len(tensor.shape) == 2 and tensor.shape[1] == width and not isinstance(tensor.shape[0], int):

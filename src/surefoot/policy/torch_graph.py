@@ -1,4 +1,4 @@
-"""A torch module as nodes of ONNX, with the few operators that policy files may have."""
+"""Conversion of a torch module to an ONNX graph, with the few operators that policy files may have."""
 
 from __future__ import annotations
 
@@ -20,46 +20,50 @@ ALLOWED = (
     "differences, products and quotients"
 )
 ROWS = 3
-"""Rows of the observations that a module is traced with."""
+"""Number of rows of the example observations for tracing."""
 _SELU = (1.6732632423543772, 1.0507009873554805)
-_SHAPES = ("view", "_unsafe_view", "reshape", "squeeze", "unsqueeze", "expand", "slice", "select")
-_SAME = ("detach", "alias", "clone", "contiguous", "_to_copy", "lift_fresh_copy")
+_RESHAPE_OPERATORS = ("view", "_unsafe_view", "reshape", "squeeze", "unsqueeze", "expand", "slice", "select")
+_IDENTITY_OPERATORS = ("detach", "alias", "clone", "contiguous", "_to_copy", "lift_fresh_copy")
 
 
 def trace_module(module: nn.Module, graph: Graph, observation: str, width: int, outputs: int) -> Value:
-    """Add the nodes of a module to a graph; return its output.
+    """Add the nodes of a module to a graph and return the value of its output.
 
-    What does not depend on the observation is computed once, such as the scale of a normalizer.
+    Values that do not depend on the observation, such as the scale of a normalizer, are computed once and stored as
+    constants.
 
     Args:
-        module: takes (N, width), gives (N, outputs), a row for each row.
-        graph: where nodes go.
+        module: module from (N, width) to (N, outputs), independent for each row.
+        graph: graph to which nodes are added.
         observation: name of the input.
-        width: numbers of an observation.
-        outputs: numbers of an output.
+        width: number of values in an observation.
+        outputs: number of values in an output.
 
     Raises:
-        SurefootError: a module of other widths, one that decides by its numbers, or an operator that is not allowed.
+        SurefootError: the module has other widths, branches on the values of its inputs, or has an operator that is
+            not allowed.
     """
     parameter = next(module.parameters(), torch.zeros(0))
     example = torch.zeros(ROWS, width, device=parameter.device)
     try:
         with torch.no_grad():
             traced = make_fx(module)(example)
-    except Exception as error:  # a module of somebody else can raise anything
+    except Exception as error:  # a third-party module can raise anything
         reason = " ".join(str(error).split())[:200]
         raise SurefootError(f"the network can't take observations (N, {width}): {reason}") from error
     ((value, shape),) = add_traced(traced, graph, [Value(observation, width)])
     if shape != (ROWS, outputs):
-        raise SurefootError(f"the network gives {_describe(shape)} for (N, {width}); its contract says (N, {outputs})")
+        raise SurefootError(
+            f"the network returns {_describe(shape)} for (N, {width}); its contract says (N, {outputs})"
+        )
     return value
 
 
 def add_traced(traced: fx.GraphModule, graph: Graph, inputs: list[Value]) -> list[tuple[Value, tuple[int, ...] | None]]:
-    """Add the nodes of a function that was traced on `ROWS` rows; return its outputs, and their shapes then.
+    """Add the nodes of a function traced with `ROWS` rows; return its outputs and their shapes in the trace.
 
     Raises:
-        SurefootError: an operator that is not allowed, or an output that does not depend on the inputs.
+        SurefootError: an operator is not allowed, or an output does not depend on the inputs.
     """
     values: dict[fx.Node, Any] = {}
     remaining = iter(inputs)
@@ -88,7 +92,7 @@ def _describe(shape: tuple[int, ...] | None) -> str:
 
 
 def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
-    """Return the value of a node: computed, if it is constant, else added to the graph."""
+    """Return the value of a node: computed if it is constant, otherwise added to the graph."""
     args: Any = fx.map_arg(node.args, lambda one: values[one])
     kwargs = fx.map_arg(node.kwargs, lambda one: values[one])
     flat = [*args, *(part for one in args if isinstance(one, tuple | list) for part in one), *kwargs.values()]
@@ -96,31 +100,36 @@ def _apply(graph: Graph, node: fx.Node, values: dict[fx.Node, Any]) -> Any:
         with torch.no_grad():
             return node.target(*args, **kwargs)  # type: ignore[operator]
     if node.target is operator.getitem:
-        # Of what has several results, such as a norm of layers, the first is the value.
+        # Of operators with several results, such as a layer norm, only the first result is used.
         return args[0][operator.index(args[1])] if isinstance(args[0], list) else args[0] if args[1] == 0 else None
     name = str(getattr(node.target, "overloadpacket", node.target)).rpartition(".")[2].rstrip("_")
     shape = getattr(node.meta.get("val"), "shape", None)
     source = node.args[0]
     before = getattr(source.meta.get("val"), "shape", None) if isinstance(source, fx.Node) else None
-    if name in _SAME or (name in _SHAPES and _rows(shape) == _rows(before)):
+    if name in _IDENTITY_OPERATORS or (
+        name in _RESHAPE_OPERATORS and _squeezed_shape(shape) == _squeezed_shape(before)
+    ):
         return args[0]
     try:
         result = _OPERATORS[name](graph, *args, **kwargs)
     except (KeyError, TypeError, NotImplementedError) as error:
-        raise SurefootError(f"the network has operator {name}, as it is used there; allowed are {ALLOWED}") from error
+        raise SurefootError(
+            f"the network uses operator {name}, which is not supported or not with these arguments; allowed are "
+            f"{ALLOWED}"
+        ) from error
     if isinstance(result, list):
         return result
     width = next(one.width for one in flat if isinstance(one, Value)) if shape is None else int(shape[-1])
     return result if isinstance(result, Value) else Value(result, width)
 
 
-def _rows(shape: tuple[int, ...] | None) -> list[int] | None:
-    """Return a shape without axes of length 1, which recurrent layers put around rows."""
+def _squeezed_shape(shape: tuple[int, ...] | None) -> list[int] | None:
+    """Return a shape without axes of length 1, which recurrent layers add around rows."""
     return None if shape is None else [size for size in shape if size != 1]
 
 
-def _row(graph: Graph, value: Any) -> str:
-    """Return the name of an operand: a value, a number, or one row of numbers."""
+def _operand_name(graph: Graph, value: Any) -> str:
+    """Return the name of an operand: a value of the graph, a number, or a row of numbers."""
     if isinstance(value, Value):
         return value.name
     array = np.asarray(value.detach().cpu() if isinstance(value, torch.Tensor) else value, np.float32)
@@ -143,13 +152,13 @@ def _binary(kind: str) -> Callable[..., str]:
         if alpha != 1.0:
             raise NotImplementedError
         if isinstance(first, Value):
-            return graph.apply(kind, first.name, _row(graph, second))
+            return graph.apply(kind, first.name, _operand_name(graph, second))
         if kind == "Div":
             raise NotImplementedError
         if kind == "Sub":
             negative = graph.apply("Mul", second.name, graph.constant(-1.0))
-            return graph.apply("Add", negative, _row(graph, first))
-        return graph.apply(kind, second.name, _row(graph, first))
+            return graph.apply("Add", negative, _operand_name(graph, first))
+        return graph.apply(kind, second.name, _operand_name(graph, first))
 
     return apply
 
@@ -179,46 +188,46 @@ def _clamp(graph: Graph, value: Value, low: float | None = None, high: float | N
     return graph.clip(value.name, -math.inf if low is None else low, math.inf if high is None else high)
 
 
-def _check_last(dim: int | list[int]) -> None:
-    """Refuse what does not act on the columns."""
+def _require_columns(dim: int | list[int]) -> None:
+    """Reject operations along other axes than the columns."""
     if (dim[0] if isinstance(dim, list) and len(dim) == 1 else dim) not in (1, -1):
         raise NotImplementedError
 
 
 def _slice(graph: Graph, value: Value, dim: int = 0, start: Any = None, end: Any = None, step: int = 1) -> Value:
-    _check_last(dim)
+    _require_columns(dim)
     return graph.select(value, range(value.width)[start:end:step])
 
 
 def _split(graph: Graph, value: Value, size: int, dim: int = 0) -> list[Value]:
-    _check_last(dim)
+    _require_columns(dim)
     starts = range(0, value.width, size)
     return [graph.select(value, range(start, min(start + size, value.width))) for start in starts]
 
 
-def _single(graph: Graph, values: Any, dim: int = 0) -> Any:
-    """Return what is in a stack of one, or a stack of it."""
+def _single_element(graph: Graph, values: Any, dim: int = 0) -> Any:
+    """Unpack a stack of one element, or make one; larger stacks are not supported."""
     if dim != 0 or (isinstance(values, list) and len(values) != 1):
         raise NotImplementedError
     return values[0] if isinstance(values, list) else [values]
 
 
 def _source(graph: Graph, value: Any, source: Value, dim: int = 0, start: Any = None, end: Any = None) -> Value:
-    """Return what is copied over all of a value."""
+    """Return the source of a copy that overwrites a whole value."""
     if start is not None or end is not None or (isinstance(value, Value) and value.width != source.width):
         raise NotImplementedError
     return source
 
 
 def _cat(graph: Graph, values: list[Any], dim: int = 0) -> Value:
-    _check_last(dim)
+    _require_columns(dim)
     if not all(isinstance(value, Value) for value in values):
         raise NotImplementedError
     return graph.join(values)
 
 
 def _norm(graph: Graph, value: Value, order: float | None = 2, dim: Any = None, keep: bool = False) -> Value:
-    _check_last(dim)
+    _require_columns(dim)
     if order not in (None, 2) or not keep:
         raise NotImplementedError
     return graph.norm(value)
@@ -237,7 +246,7 @@ def _power(graph: Graph, value: Value, exponent: float) -> str:
 
 
 def _layer_norm(graph: Graph, value: Value, shape: list[int], weight: Any, bias: Any, epsilon: float) -> str:
-    # ONNX's default, so that the node needs no attribute.
+    # The epsilon must be ONNX's default, so that the node needs no attribute.
     if len(shape) != 1 or not math.isclose(epsilon, 1e-5):
         raise NotImplementedError
     scale = np.ones(shape) if weight is None else weight.detach().cpu().numpy()
@@ -251,8 +260,8 @@ def _batch_norm(
     if training:
         raise NotImplementedError
     scale = (1.0 if weight is None else weight) / torch.sqrt(variance + rest[-1])
-    result = graph.apply("Mul", value.name, _row(graph, scale))
-    return graph.apply("Add", result, _row(graph, (0.0 if bias is None else bias) - mean * scale))
+    result = graph.apply("Mul", value.name, _operand_name(graph, scale))
+    return graph.apply("Add", result, _operand_name(graph, (0.0 if bias is None else bias) - mean * scale))
 
 
 _OPERATORS: dict[str, Callable[..., str | Value | list[Value]]] = {
@@ -271,7 +280,7 @@ _OPERATORS: dict[str, Callable[..., str | Value | list[Value]]] = {
     "slice": _slice,
     "cat": _cat,
     **dict.fromkeys(("split", "unsafe_split"), _split),
-    **dict.fromkeys(("stack", "unbind"), _single),
+    **dict.fromkeys(("stack", "unbind"), _single_element),
     **dict.fromkeys(("copy", "slice_scatter"), _source),
     "norm": _norm,
     "linalg_vector_norm": _norm,
@@ -280,4 +289,4 @@ _OPERATORS: dict[str, Callable[..., str | Value | list[Value]]] = {
     "native_layer_norm": _layer_norm,
     "native_batch_norm": _batch_norm,
 }
-"""What adds each of torch's operators to a graph; raises `NotImplementedError` for a use that is not allowed."""
+"""Functions that add each torch operator to a graph; they raise `NotImplementedError` for unsupported arguments."""

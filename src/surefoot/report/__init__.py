@@ -1,1 +1,1 @@
-"""Figures and video for people to look at; nothing here computes a number that evaluate does not."""
+"""Figures, videos and web pages. All metrics are computed elsewhere, in `evaluation`."""

@@ -1,20 +1,20 @@
-"""The robot: URDF, data sheet, leg space and the physical parameters that may differ from the data sheet."""
+"""Robot descriptions: URDF, data sheet, leg kinematics, and the physical parameters that randomization varies."""
 
-from surefoot.robot.archive import ROBOT
-from surefoot.robot.description import DEFAULT_ROBOT, RobotDescription, carried_robot
+from surefoot.robot.archive import ROBOT_ARRAY
+from surefoot.robot.data_sheet import GRAVITY
+from surefoot.robot.description import DEFAULT_ROBOT, RobotDescription, load_embedded_robot
 from surefoot.robot.leg import FiveBar
 from surefoot.robot.params import PhysicalParams, parse_settings
 from surefoot.robot.serial_leg import SerialLegs
-from surefoot.robot.sheet import GRAVITY
 
 __all__ = [
     "DEFAULT_ROBOT",
     "GRAVITY",
-    "ROBOT",
+    "ROBOT_ARRAY",
     "FiveBar",
     "PhysicalParams",
     "RobotDescription",
     "SerialLegs",
-    "carried_robot",
+    "load_embedded_robot",
     "parse_settings",
 ]

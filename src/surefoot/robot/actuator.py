@@ -1,4 +1,4 @@
-"""Data of motors as a sheet states them: DC motors with a servo, and torque-controlled joint actuators."""
+"""Actuator data of a robot's data sheet: DC motors with a servo, and torque-controlled joint actuators."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ from surefoot.configuration import NotNegative, Positive, Within, from_mapping
 from surefoot.errors import SurefootError, quote, suggest
 
 _Each = Annotated[float | tuple[float, ...], Within(0, 1e9)]
-"""One number for all motors, one for each motor of a leg, or one for each motor."""
+"""One number for all motors, one per motor of a leg, or one per motor."""
 
 
-PLACEHOLDER_TORQUE = 5.0
-"""A torque limit over this many m g l is a placeholder: no motor lifts the robot by five legs' lengths."""
+MIN_PLACEHOLDER_TORQUE = 5.0
+"""Torque limit [m g l] from which it is a placeholder: no leg motor can hold the robot at five leg lengths."""
 HEAT_LOSS = 0.5
-"""Heat of a joint actuator at its full torque, over torque times the speed up to which it has it; assumed."""
+"""Heating power of a joint actuator at its full torque, relative to the product of full torque and
+`full_torque_speed`; assumed."""
 
 
 @dataclass(frozen=True)
 class DcMotorData:
-    """Voltage-driven motor and servo, nominal. Units as in a sheet's `[actuator]`."""
+    """Nominal data of a voltage-driven motor and its servo, in the units of the data sheet's table `[actuator]`."""
 
     torque_constant: Positive
     resistance: Positive
     voltage: Positive
     voltage_clip: Positive
-    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, above=True)]
+    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, exclusive=True)]
     kd: _Each
     torque_table_current: tuple[float, ...]
     torque_table_torque: tuple[float, ...]
@@ -41,10 +42,10 @@ class DcMotorData:
 
     kind: ClassVar[str] = "dc"
     own_parameters: ClassVar[tuple[str, ...]] = ("torque_constant", "resistance", "voltage")
-    """Physical parameters that are called like their fields."""
+    """Physical parameters with the same names as fields of this class."""
 
     def __post_init__(self) -> None:
-        """Refuse a torque-current curve that does not rise from 0."""
+        """Reject a torque-current curve that does not rise from 0."""
         current, torque = self.torque_table_current, self.torque_table_torque
         if len(current) < 2 or len(current) != len(torque):
             raise SurefootError(
@@ -53,53 +54,53 @@ class DcMotorData:
             )
         if current[0] != 0 or torque[0] != 0 or np.any(np.diff(current) <= 0) or np.any(np.diff(torque) < 0):
             raise SurefootError(
-                f"actuator.torque_table_current is {list(current)}; it must start at 0 A and 0 N m, and rise"
+                f"actuator.torque_table_current is {list(current)}; it must start at 0 A and 0 N m, and increase"
             )
 
 
 @dataclass(frozen=True)
 class JointActuatorData:
-    """Torque-controlled joint actuator with a PD controller of the joint's angle, nominal; all at the joint."""
+    """Nominal data of a torque-controlled joint actuator with a PD position controller, all at the joint output."""
 
-    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, above=True)]
-    """N m/rad"""
+    kp: Annotated[float | tuple[float, ...], Within(0, 1e9, exclusive=True)]
+    """Proportional gain [N m/rad]."""
     kd: _Each
-    """N m s/rad"""
+    """Derivative gain [N m s/rad]."""
     torque_limit: _Each
-    """Greatest torque [N m] at low speed."""
+    """Maximum torque [N m] at low speed."""
     speed_limit: _Each = 1e9
-    """Speed [rad/s] at which a motor can drive no further; braking has the full torque."""
+    """No-load speed [rad/s], at which the driving torque is 0; the braking torque is full at any speed."""
     full_torque_speed: _Each = 0.0
-    """Speed [rad/s] up to which the full torque is there; from it to `speed_limit` the torque falls to 0."""
+    """Speed [rad/s] up to which full torque is available; from there it falls linearly to 0 at `speed_limit`."""
     rotor_inertia: _Each = 0.0
-    """Inertia of rotor and gear [kg m2], at the joint: gear ratio squared times the rotor's."""
+    """Inertia of rotor and gear [kg m2] reflected to the joint: rotor inertia times gear ratio squared."""
     friction: _Each = 0.0
     """Coulomb friction [N m]."""
     viscous_friction: _Each = 0.0
-    """N m s/rad"""
+    """Viscous friction [N m s/rad]."""
     load_friction: _Each = 0.0
-    """Friction over the actuator's torque."""
+    """Friction that is proportional to the actuator's torque, as a ratio to it."""
     presliding: _Each = 0.0
-    """Angle [rad] over which friction builds up when a motor turns back: it sticks; 0: friction depends on the speed
-    alone, and a motor at rest creeps."""
+    """Presliding angle [rad] over which friction builds up after the motor reverses, so that it sticks. With 0,
+    friction depends only on speed, and a motor at rest creeps."""
     speed_filter: NotNegative = 0.0
     """Time constant [s] of the first-order filter on the speed that the PD controller uses."""
     overheat_torque: _Each = 1e9
-    """Torque [N m] that a motor may give for `overheat_time` only."""
+    """Torque [N m] that a motor may exceed for `overheat_time` [s] before it overheats."""
     overheat_time: NotNegative = 1.0
 
     kind: ClassVar[str] = "joint"
     own_parameters: ClassVar[tuple[str, ...]] = (
         "speed_filter", "load_friction", "presliding", "rotor_inertia", "torque_limit"
     )  # fmt: skip
-    """Physical parameters that are called like their fields."""
+    """Physical parameters with the same names as fields of this class."""
 
 
 ActuatorData = DcMotorData | JointActuatorData
 
 
 def nominal_params(data: ActuatorData) -> dict[str, Array]:
-    """Return the nominal physical parameters of motors and servos by name: one number, or one for each motor."""
+    """Return the nominal physical parameters of motors and servos by name: one number, or one per motor."""
     names = {
         "servo_kp": "kp",
         "servo_kd": "kd",
@@ -111,14 +112,17 @@ def nominal_params(data: ActuatorData) -> dict[str, Array]:
 
 
 def read_actuator(table: Mapping[str, Any], order: Sequence[str], legs: Sequence[Sequence[str]]) -> ActuatorData:
-    """Return the motors' data of a sheet's table.
+    """Parse the table `[actuator]` of a data sheet.
 
-    A list with one number for each motor of a leg holds for every leg; it becomes one with a number for each motor.
+    A list with one number per motor of a leg applies to every leg; it is expanded to one number per motor.
 
     Args:
-        table: `[actuator]` of the sheet.
+        table: table `[actuator]` of the data sheet.
         order: names of all motors.
-        legs: names of each leg's motors.
+        legs: motor names of each leg.
+
+    Raises:
+        SurefootError: an unknown kind or key, or a list of the wrong length.
     """
     kinds: dict[str, type[DcMotorData] | type[JointActuatorData]] = {"dc": DcMotorData, "joint": JointActuatorData}
     kind = table.get("kind", "dc")

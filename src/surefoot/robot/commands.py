@@ -1,6 +1,6 @@
-"""Commands of a robot that is steered: speeds forward and sideways and a yaw rate, all in the heading frame.
+"""Velocity commands: forward and sideways velocity and yaw rate, all in the heading frame.
 
-The heading frame stands upright and has the base's yaw: x forward, y left, z up. All three commands zero mean: stand.
+The heading frame is upright and has the yaw of the base: x forward, y left, z up. A command of zero means "stand".
 """
 
 from __future__ import annotations
@@ -17,34 +17,34 @@ from surefoot.configuration import Within
 from surefoot.errors import SurefootError
 
 COMMANDS = {"forward": "m/s", "sideways": "m/s", "yaw_rate": "rad/s"}
-"""Names of the commands in order, with units; sideways is positive to the left, the yaw rate about +z."""
-STAND = (0.0, 0.0, 0.0)
-"""The command that means stand."""
-_MAX = 1e3
+"""Units of the commands by name, in order; sideways is positive to the left, the yaw rate is about +z."""
+STAND_COMMAND = (0.0, 0.0, 0.0)
+"""The command to stand still."""
+_MAX_COMMAND = 1e3
 
 
 @dataclass(frozen=True)
 class CommandLimits:
-    """What a policy can be commanded, as its contract states it."""
+    """Limits of the commands to a policy, stored in its contract."""
 
     forward: tuple[float, float]
-    """Range of speeds forward [m/s]."""
+    """Range of forward velocities [m/s]."""
     sideways: tuple[float, float]
-    """Range of speeds to the left [m/s]; (0, 0) for legs without abduction."""
+    """Range of velocities to the left [m/s]; (0, 0) for legs without abduction."""
     yaw_rate: tuple[float, float]
     """Range of yaw rates [rad/s]."""
-    acceleration: Annotated[tuple[float, float, float], Within(0.0, _MAX, above=True)]
-    """How fast each command that the gait follows may change [m/s^2, m/s^2, rad/s^2]."""
-    deadband: Annotated[tuple[float, float, float], Within(0.0, _MAX)]
-    """Commands that are all no greater than this mean stand [m/s, m/s, rad/s]."""
-    heading_gain: Annotated[float, Within(0.0, _MAX)] = 0.0
-    """Yaw rate that is added per heading error [1/s]; 0: the heading is not held."""
+    acceleration: Annotated[tuple[float, float, float], Within(0.0, _MAX_COMMAND, exclusive=True)]
+    """Maximum rate of change of each command that the gait follows [m/s^2, m/s^2, rad/s^2]."""
+    deadband: Annotated[tuple[float, float, float], Within(0.0, _MAX_COMMAND)]
+    """The robot stands still if all commands are within this deadband [m/s, m/s, rad/s]."""
+    heading_gain: Annotated[float, Within(0.0, _MAX_COMMAND)] = 0.0
+    """Additional yaw rate per heading error [1/s]; 0: the heading is not controlled."""
 
     def __post_init__(self) -> None:
-        """Refuse ranges that are reversed or do not contain zero."""
+        """Reject ranges that are reversed or do not contain zero."""
         for name in COMMANDS:
             low, high = getattr(self, name)
-            if not -_MAX <= low <= 0.0 <= high <= _MAX:
+            if not -_MAX_COMMAND <= low <= 0.0 <= high <= _MAX_COMMAND:
                 raise SurefootError(
                     f"commands.{name} is [{low:g}, {high:g}] {COMMANDS[name]}; it must go from 0 or less to 0 or more"
                 )
@@ -60,10 +60,10 @@ class CommandLimits:
         return np.array([getattr(self, name)[1] for name in COMMANDS])
 
     def clamp(self, command: ArrayLike) -> tuple[Array, str]:
-        """Return a command (3,) within the limits, and what was changed in words, empty if nothing.
+        """Return a command (3,) clamped to the limits, and a text that names the clamped values, or "".
 
         Raises:
-            SurefootError: not three finite numbers.
+            SurefootError: the command is not three finite numbers.
         """
         values = np.asarray(command, float)
         if values.shape != (3,):
@@ -79,6 +79,6 @@ class CommandLimits:
         ]
         return bounded, ", ".join(changed)
 
-    def stands(self, command: Array) -> NDArray[np.bool_]:
-        """Return whether commands (..., 3) mean stand (...)."""
+    def in_deadband(self, command: Array) -> NDArray[np.bool_]:
+        """Return whether commands (..., 3) are within the deadband (...), so that the robot stands still."""
         return np.asarray(np.all(np.abs(command) <= np.array(self.deadband), axis=-1))

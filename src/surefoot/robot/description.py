@@ -1,7 +1,7 @@
-"""A robot's description: its URDF and its data sheet, read and checked once.
+"""Description of a robot: its URDF and data sheet, loaded and validated.
 
-A robot is a folder with a `robot.toml` and the URDF that it names. `RobotDescription.load` takes the name of
-a robot that ships with surefoot or the path of such a folder.
+A robot is a folder with a data sheet `robot.toml` and the URDF that the data sheet names. `RobotDescription.load`
+takes the name of a built-in robot or the path of such a folder.
 """
 
 from __future__ import annotations
@@ -21,41 +21,41 @@ from surefoot.configuration import from_mapping, read_toml
 from surefoot.errors import SurefootError, check_name, choices, prefix_errors, quote, suggest
 from surefoot.robot.actuator import ActuatorData, DcMotorData, nominal_params, read_actuator
 from surefoot.robot.appearance import Appearance
-from surefoot.robot.archive import SHEET, pack_robot, unpack_robot
-from surefoot.robot.experiments import Experiments, read_experiments
-from surefoot.robot.leg import FiveBar, Legs
-from surefoot.robot.params import PARAMETERS
-from surefoot.robot.serial_leg import SerialLegs
-from surefoot.robot.sheet import (
+from surefoot.robot.archive import DATA_SHEET, pack_robot, unpack_robot
+from surefoot.robot.data_sheet import (
     GRAVITY,
     Battery,
     ContactData,
+    DataSheet,
     Heat,
     Leg,
     Loop,
     Poses,
     Range,
-    Sheet,
     Timing,
     check_ranges,
 )
+from surefoot.robot.experiments import Experiments, read_experiments
+from surefoot.robot.leg import FiveBar, Legs
+from surefoot.robot.params import PARAMETERS
+from surefoot.robot.serial_leg import SerialLegs
 from surefoot.robot.urdf import Urdf
 from surefoot.robot.urdf_file import read_urdf
 
-_HERE = Path(__file__).parent
+_ROBOTS_FOLDER = Path(__file__).parent
 
 DEFAULT_ROBOT = "minitaur"
-"""The robot of tasks that name none: the paper's."""
-ANGLE_ROOM = 1.0
-"""Range [rad] beyond the angles of leg space that a command may request. Legs of a damped robot on its belly fold
-further than a gait may, and standing up begins at their angles."""
-_VOLTAGE = 24.0
-"""Nominal battery voltage [V] of joint actuators, where the sheet does not say."""
+"""Robot of a task that names none: the paper's."""
+ANGLE_MARGIN = 1.0
+"""Margin [rad] by which commands may exceed the motor angles of leg space. A damped robot on its belly folds its legs
+further than a gait may, and standing up starts from these angles."""
+_DEFAULT_VOLTAGE = 24.0
+"""Default nominal battery voltage [V] of robots with joint actuators."""
 
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """A robot. Angles are motor angles theta in the sheet's motor order unless stated otherwise."""
+    """A robot. Angles are motor angles theta in the data sheet's motor order unless stated otherwise."""
 
     name: str
     folder: Path
@@ -66,14 +66,14 @@ class RobotDescription:
     motor_sign: Array
     legs: tuple[Leg, ...]
     leg_mounts: Array
-    """Place (L, 3) of each leg's hip from the base's origin [m], x forward, y left, z up: between both motors of a
-    five-bar leg, on the axis of abduction of a serial leg."""
+    """Hip position (L, 3) of each leg in the base frame [m], x forward, y left, z up: midway between the motors of a
+    five-bar leg, on the abduction axis of a serial leg."""
     leg_geometry: Legs
     loops: tuple[Loop, ...]
     leg_space: dict[str, Range]
-    """Range of each coordinate of leg space that commands may use, in order."""
+    """Range of each leg-space coordinate that commands may use, in order."""
     rest: tuple[float, ...]
-    """Pose in leg space of every leg in which the robot settles before an episode."""
+    """Resting pose of every leg in leg space, in which the robot settles before an episode."""
     actuator: ActuatorData
     timing: Timing
     contact: ContactData
@@ -83,22 +83,22 @@ class RobotDescription:
     experiments: Experiments
     allowed: dict[str, tuple[float, float]]
     priors: dict[str, float]
-    looks: str | None = None
-    """Name of the file in the folder with what is drawn; None: the URDF's visuals are."""
+    visuals: str | None = None
+    """Name of the file with visual meshes in the robot's folder; None: the URDF's visuals are used."""
 
     @classmethod
     def available(cls) -> list[str]:
-        """Return the names of the robots that ship with surefoot."""
-        return sorted(path.parent.name for path in _HERE.glob("*/robot.toml"))
+        """Return the names of the built-in robots."""
+        return sorted(path.parent.name for path in _ROBOTS_FOLDER.glob("*/robot.toml"))
 
     @classmethod
     def find_folder(cls, robot: str | Path) -> Path:
-        """Return the folder of a robot that ships, by name, or the path itself."""
-        return _HERE / str(robot) if str(robot) in cls.available() else Path(robot)
+        """Return the folder of a built-in robot, given by name; any other argument is returned as a path."""
+        return _ROBOTS_FOLDER / str(robot) if str(robot) in cls.available() else Path(robot)
 
     @classmethod
     def resolve(cls, robot: str, folder: Path) -> str:
-        """Return what a file in a folder calls a robot so that `load` takes it: paths count from the folder."""
+        """Return an argument for `load` from a file's reference to a robot; paths are relative to the file's folder."""
         return robot if robot in cls.available() else str((folder / robot).resolve())
 
     @classmethod
@@ -106,17 +106,19 @@ class RobotDescription:
         """Load a robot by name or by the path of its folder.
 
         Raises:
-            SurefootError: no such robot, or an invalid description: states file, key and rule.
+            SurefootError: there is no such robot, or its description is invalid; the message names file, key and rule.
         """
         folder = cls.find_folder(robot)
-        sheet_path = folder / SHEET
+        sheet_path = folder / DATA_SHEET
         if not sheet_path.is_file():
             raise SurefootError(
                 f"robot '{robot}': no such robot and no folder with a robot.toml; {suggest(robot, cls.available())}"
             )
         data, _ = read_toml(sheet_path)
         with prefix_errors(sheet_path):
-            sheet = from_mapping(Sheet, data)
+            if "looks" in data:
+                raise SurefootError("looks is named visuals now; rename this key")
+            sheet = from_mapping(DataSheet, data)
             check_name("name", sheet.name)
             if Path(sheet.urdf).is_absolute() or ".." in Path(sheet.urdf).parts:
                 raise SurefootError(f"urdf is {quote(sheet.urdf)}; it must be a file in the robot's folder")
@@ -125,22 +127,24 @@ class RobotDescription:
             return cls._from_sheet(sheet, urdf, folder)
 
     @classmethod
-    def _from_sheet(cls, sheet: Sheet, urdf: Urdf, folder: Path) -> RobotDescription:
+    def _from_sheet(cls, sheet: DataSheet, urdf: Urdf, folder: Path) -> RobotDescription:
         legs, order = sheet.read_legs(urdf), sheet.motors.order
         sign = np.array(sheet.motors.sign or [1] * len(order), float)
         bounds = {name: item.bounds for name, item in PARAMETERS.items()}
         if unknown := [name for name in sheet.allowed if name not in bounds]:
             raise SurefootError(f"allowed.{unknown[0]} is unknown; {suggest(unknown[0], bounds)}")
         check_ranges("allowed", sheet.allowed)
-        if sheet.looks is not None and (Path(sheet.looks).name != sheet.looks or sheet.looks in ("", "..")):
-            raise SurefootError(f"looks is {quote(sheet.looks)}; it must be the name of a file in the robot's folder")
-        places, axes, feet = _place_joints(urdf, sheet.base, legs)
-        mounts = _mounts(places, feet, bool(sheet.leg_geometry))
+        if sheet.visuals is not None and (Path(sheet.visuals).name != sheet.visuals or sheet.visuals in ("", "..")):
+            raise SurefootError(
+                f"visuals is {quote(sheet.visuals)}; it must be the name of a file in the robot's folder"
+            )
+        positions, axes, feet = _joint_positions(urdf, sheet.base, legs)
+        mounts = _mounts(positions, feet, bool(sheet.leg_geometry))
         signs = sign[[[order.index(name) for name in leg.motors] for leg in legs]]
-        geometry = sheet.leg_geometry or SerialLegs.from_places(legs, mounts, places, axes, signs, feet)
+        geometry = sheet.leg_geometry or SerialLegs.from_positions(legs, mounts, positions, axes, signs, feet)
         space, rest = sheet.complete_leg_space(geometry)
         actuator = read_actuator(sheet.actuator, order, [leg.motors for leg in legs])
-        voltage = actuator.voltage if isinstance(actuator, DcMotorData) else _VOLTAGE
+        voltage = actuator.voltage if isinstance(actuator, DcMotorData) else _DEFAULT_VOLTAGE
         description = cls(
             name=sheet.name,
             folder=folder,
@@ -164,44 +168,44 @@ class RobotDescription:
             experiments=read_experiments(sheet.experiments, space["extension"], actuator),
             allowed={**bounds, **sheet.allowed},
             priors=sheet.priors,
-            looks=sheet.looks,
+            visuals=sheet.visuals,
         )
         description._check_legs()
         return description
 
     def _check_legs(self) -> None:
         legs, extensions = self.leg_geometry, self.leg_space["extension"]
-        if not legs.closes(legs.to_motors(np.tile(np.transpose([self.rest]), len(self.legs)))).all():
+        if not legs.is_feasible(legs.to_motors(np.tile(np.transpose([self.rest]), len(self.legs)))).all():
             pose = ", ".join(f"{name} {value:g}" for name, value in zip(self.leg_space, self.rest, strict=True))
             raise SurefootError(
-                f"leg_geometry: a leg can't have its resting pose ({pose}); "
-                "the lower links of a loop must reach each other, a serial leg must be long enough"
+                f"leg_geometry: a leg can't reach its resting pose ({pose}); "
+                "the lower links of a loop must reach each other, and a serial leg must be long enough"
             )
         poses = np.zeros((201, len(self.leg_space), len(self.legs)))
         poses[:, -1] = np.linspace(*extensions, 201)[:, None]
-        if not legs.closes(legs.to_motors(poses)).all():
+        if not legs.is_feasible(legs.to_motors(poses)).all():
             raise SurefootError(
                 f"leg_space.extension is {list(extensions)}, "
-                "and a leg can't have every extension in it; narrow it or check leg_geometry"
+                "but a leg can't reach every extension in it; narrow it or check leg_geometry"
             )
         for name, value in self.nominal_params().items():
             if PARAMETERS[name].belongs_to(self):
                 self.check_allowed(name, np.asarray(value), source="nominal ")
 
     @property
-    def ships(self) -> bool:
-        """Whether it ships with surefoot: its name is enough to load it anywhere."""
-        return self.folder.resolve().parent == _HERE.resolve()
+    def is_builtin(self) -> bool:
+        """Whether the robot is part of surefoot, so that its name suffices to load it anywhere."""
+        return self.folder.resolve().parent == _ROBOTS_FOLDER.resolve()
 
     @property
     def location(self) -> str:
-        """What `load` takes to load it again on this machine: the name of a robot that ships, else the folder."""
-        return self.folder.name if self.ships else str(self.folder)
+        """Argument for `load` to load the robot again on this computer: a built-in robot's name, else the folder."""
+        return self.folder.name if self.is_builtin else str(self.folder)
 
     @cached_property
     def archive(self) -> bytes:
-        """The folder as bytes, for files that carry their robot; empty for a robot that ships."""
-        return b"" if self.ships else pack_robot(self.folder)
+        """Archive of the robot's folder, to be embedded in files; empty for a built-in robot."""
+        return b"" if self.is_builtin else pack_robot(self.folder)
 
     @property
     def num_motors(self) -> int:
@@ -227,71 +231,82 @@ class RobotDescription:
 
     @property
     def natural_time(self) -> float:
-        """The time sqrt(l / g) of legs of length l [s]."""
+        """Natural time sqrt(l / g) of legs of length l [s]."""
         return float(np.sqrt(self.leg_geometry.length / GRAVITY))
 
     @property
     def torque_table(self) -> tuple[Array, Array]:
-        """Points of a DC motor's torque-current curve: currents [A] and torques [N m]."""
+        """Torque-current curve of a DC motor: currents [A] and torques [N m]."""
         return np.array(self.dc_motor.torque_table_current), np.array(self.dc_motor.torque_table_torque)
 
     @property
     def dc_motor(self) -> DcMotorData:
-        """The data of DC motors; refuse a robot with others."""
+        """Data of the DC motors.
+
+        Raises:
+            SurefootError: the robot has motors of another kind.
+        """
         if not isinstance(self.actuator, DcMotorData):
-            raise SurefootError(f"the motors of {self.name} are of kind {self.actuator.kind}; this takes DC motors")
+            raise SurefootError(f"the motors of {self.name} are of kind {self.actuator.kind}; this needs DC motors")
         return self.actuator
 
     @property
     def five_bar(self) -> FiveBar:
-        """The geometry of five-bar legs; refuse a robot with others."""
+        """Geometry of the five-bar legs.
+
+        Raises:
+            SurefootError: the robot has serial legs.
+        """
         if not isinstance(self.leg_geometry, FiveBar):
-            raise SurefootError(f"the legs of {self.name} are serial; this takes five-bar legs")
+            raise SurefootError(f"the legs of {self.name} are serial; this needs five-bar legs")
         return self.leg_geometry
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates of leg space: (abduction,) swing, extension."""
+        """Names of the leg-space coordinates: (abduction,) swing, extension."""
         return tuple(self.leg_space)
 
     @property
     def command_range(self) -> tuple[Array, Array]:
-        """Least and greatest motor angles (M,) [rad] that a command may request, of a pose or on the way to one."""
-        least, greatest = self.angle_extent(*self.leg_space.values())
-        return least - ANGLE_ROOM, greatest + ANGLE_ROOM
+        """Minimum and maximum motor angles (M,) [rad] that a command may request, also while standing up."""
+        minimum, maximum = self.angle_extent(*self.leg_space.values())
+        return minimum - ANGLE_MARGIN, maximum + ANGLE_MARGIN
 
     @property
     def motor_limits(self) -> tuple[Array, Array]:
-        """Least and greatest motor angles (M,) [rad] that the joints and `command_range` allow."""
+        """Minimum and maximum motor angles (M,) [rad] that both the joint limits and `command_range` allow."""
         turn = (-2 * np.pi, 2 * np.pi)
         limits = np.array([self.urdf.joints[name].limits or turn for name in self.motor_names])
-        ends, (least, greatest) = np.sort(self.motor_sign[:, None] * limits, axis=1), self.command_range
-        return np.maximum(ends[:, 0], least), np.minimum(ends[:, 1], greatest)
+        ends, (minimum, maximum) = np.sort(self.motor_sign[:, None] * limits, axis=1), self.command_range
+        return np.maximum(ends[:, 0], minimum), np.minimum(ends[:, 1], maximum)
 
     def _split_legs(self, angles: Array) -> Array:
-        """Return the angles (..., L, m) of each leg's motors for those of all motors (..., M)."""
+        """Rearrange the angles of all motors (..., M) by leg (..., L, m)."""
         return angles[..., self.leg_motor_index]
 
     def to_motors(self, pose: ArrayLike) -> Array:
-        """Return the motor angles (..., M) [rad] of poses in leg space (..., C, L)."""
+        """Convert poses in leg space (..., C, L) to motor angles (..., M) [rad]."""
         theta, index = self.leg_geometry.to_motors(pose), self.leg_motor_index
         angles = np.empty((*theta.shape[:-2], self.num_motors))
         angles[..., index] = theta
         return angles
 
     def to_pose(self, angles: ArrayLike) -> Array:
-        """Return the poses in leg space (..., C, L) for motor angles (..., M) [rad]."""
+        """Convert motor angles (..., M) [rad] to poses in leg space (..., C, L)."""
         return self.leg_geometry.to_pose(self._split_legs(np.asarray(angles, float)))
 
     def foot_positions(self, angles: Array) -> Array:
-        """Return where feet are for motor angles (..., M) [rad], base frame (..., L, 3) [m].
+        """Return the foot positions in the base frame (..., L, 3) [m] at motor angles (..., M) [rad].
 
-        NaN for legs that can't close.
+        NaN for five-bar legs whose loop can't close.
         """
         return np.asarray(self.leg_geometry.foot_position(self._split_legs(angles)) + self.leg_mounts)
 
     def pose_angles(self, *coordinates: ArrayLike) -> Array:
-        """Return the motor angles (..., M) [rad] for each coordinate's values (..., L), or one number for all legs."""
+        """Return the motor angles (..., M) [rad] of a pose.
+
+        Each leg-space coordinate is an argument: one value per leg (..., L), or one number for all legs.
+        """
         if len(coordinates) != len(self.coordinates):
             rule = f"legs of {self.name} have {choices(self.coordinates)}"
             raise SurefootError(f"a pose has {len(coordinates)} numbers; {rule}")
@@ -299,9 +314,9 @@ class RobotDescription:
         return self.to_motors(np.stack(values, axis=-2))
 
     def angle_extent(self, *ranges: Range) -> tuple[Array, Array]:
-        """Return the minimum and maximum motor angles (M,) [rad] over all poses in a range of each coordinate.
+        """Return the minimum and maximum motor angles (M,) [rad] over all poses in the coordinates' ranges.
 
-        Angles rise or fall with each coordinate but the extension, which is sampled.
+        Motor angles are monotonic in each coordinate except the extension, which is sampled.
         """
         *sides, (low, high) = ranges
         angles = [self.pose_angles(*pose) for pose in product(*sides, np.linspace(low, high, 17))]
@@ -313,7 +328,7 @@ class RobotDescription:
         return self.pose_angles(*self.rest)
 
     def joint_angles(self, angles: ArrayLike) -> dict[str, Array]:
-        """Return the angles (...) [rad] of motor and knee joints by name, as the URDF has them, for motors (..., M).
+        """Return the URDF joint angles (...) [rad] of motor and knee joints by name, for motor angles (..., M) [rad].
 
         NaN at the knees of a leg whose loop can't close.
         """
@@ -325,7 +340,9 @@ class RobotDescription:
         return joints
 
     def link_frames(self, angles: ArrayLike) -> dict[str, Array]:
-        """Return the frames (..., 4, 4) of all links in the base's by name, loops closed, for motors (..., M) [rad].
+        """Return the poses (..., 4, 4) of all links in the base frame by name, for motor angles (..., M) [rad].
+
+        Loops of five-bar legs are closed.
 
         NaN below the knees of a leg whose loop can't close.
         """
@@ -334,17 +351,17 @@ class RobotDescription:
         return {link: in_base @ frame for link, frame in frames.items()}
 
     def appearance(self) -> Appearance:
-        """Return what is drawn of the robot: the parts in its file of looks, else the URDF's visuals.
+        """Return the visual parts of the robot: from its file of visual meshes, else from the URDF's visuals.
 
         Raises:
-            SurefootError: there is neither, or the file is invalid.
+            SurefootError: the robot has neither, or the file is invalid.
         """
-        if self.looks is None:
+        if self.visuals is None:
             return Appearance.from_urdf(self.urdf, self.legs)
-        return Appearance.load(self.folder / self.looks, self.urdf.links)
+        return Appearance.load(self.folder / self.visuals, self.urdf.links)
 
     def nominal_params(self) -> dict[str, Any]:
-        """Return the nominal value of every physical parameter, by name: a number, or one for each motor."""
+        """Return the nominal value of every physical parameter by name: one number, or one per motor."""
         return {
             **{name: item.nominal for name, item in PARAMETERS.items()},
             **nominal_params(self.actuator),
@@ -356,7 +373,7 @@ class RobotDescription:
         }
 
     def check_allowed(self, name: str, values: Array, source: str = "") -> None:
-        """Refuse values of a physical parameter outside what the sheet allows."""
+        """Reject values of a physical parameter outside the range that the data sheet allows."""
         low, high = self.allowed[name]
         bad = np.asarray(values)[~((values >= low) & (values <= high))]
         if bad.size:
@@ -364,23 +381,23 @@ class RobotDescription:
             raise SurefootError(f"{source}{name} is {bad.flat[0]:g}; {allowed}")
 
 
-def carried_robot(archive: bytes, name: object) -> RobotDescription:
-    """Return the robot that a file of a run carries, else the one of the name in the file, which must ship.
+def load_embedded_robot(archive: bytes, name: object) -> RobotDescription:
+    """Load the robot of a recorded run: from the embedded archive, else the built-in robot of that name.
 
     Raises:
-        SurefootError: neither is there, or the robot is invalid.
+        SurefootError: there is no archive and no built-in robot of that name, or the robot is invalid.
     """
     if archive:
         return RobotDescription.load(unpack_robot(archive))
     if not isinstance(name, str) or name not in RobotDescription.available():
-        raise SurefootError(f"is of robot {quote(name)}, which does not ship; give its folder with --robot")
+        raise SurefootError(f"is of robot {quote(name)}, which is not built in; give its folder with --robot")
     return RobotDescription.load(name)
 
 
-def _place_joints(urdf: Urdf, base: str, legs: Sequence[Leg]) -> tuple[Array, Array, Array]:
-    """Return places (L, m, 3) [m] and axes (L, m, 3) of the legs' motors and places (L, 3) of their feet at zero.
+def _joint_positions(urdf: Urdf, base: str, legs: Sequence[Leg]) -> tuple[Array, Array, Array]:
+    """Return motor positions (L, m, 3) [m], motor axes (L, m, 3) and foot positions (L, 3) [m] at zero angles.
 
-    All are in the base's frame.
+    All are in the base frame.
     """
     frames = urdf.frames()
     inverse = np.linalg.inv(frames[base])
@@ -392,10 +409,10 @@ def _place_joints(urdf: Urdf, base: str, legs: Sequence[Leg]) -> tuple[Array, Ar
     return at[..., :3, 3], axes, np.array([(inverse @ frames[leg.foot])[:3, 3] for leg in legs])
 
 
-def _mounts(places: Array, feet: Array, five_bar: bool) -> Array:
-    """Return where legs are mounted (L, 3) [m]; see `RobotDescription.leg_mounts`."""
+def _mounts(positions: Array, feet: Array, five_bar: bool) -> Array:
+    """Return the hip positions (L, 3) [m]; see `RobotDescription.leg_mounts`."""
     if five_bar:
-        return places.mean(axis=1)
-    hips, abducts = places[:, -2], places.shape[1] == 3
-    pivots = places[:, 0] if abducts else np.column_stack([hips[:, 0], feet[:, 1], hips[:, 2]])
+        return positions.mean(axis=1)
+    hips, abducts = positions[:, -2], positions.shape[1] == 3
+    pivots = positions[:, 0] if abducts else np.column_stack([hips[:, 0], feet[:, 1], hips[:, 2]])
     return np.column_stack([hips[:, 0], pivots[:, 1:]])

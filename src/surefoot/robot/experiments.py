@@ -1,4 +1,4 @@
-"""Amplitudes of experiments and checks: the table [experiments] of a sheet, and defaults for a robot's legs."""
+"""Amplitudes of identification experiments and checks: table [experiments] of the data sheet, and its defaults."""
 
 from __future__ import annotations
 
@@ -13,59 +13,59 @@ from surefoot.robot.actuator import ActuatorData, DcMotorData
 
 _Duty = Annotated[float, Within(0, 1)]
 
-_EXTENSIONS = {
+_EXTENSION_FRACTIONS = {
     **{"stance": 0.52, "high": 0.67, "low": 0.43, "squat": 0.14, "nod": 0.057, "lift": 0.12},
     **{"shorter": 0.095, "longer": 0.048},
 }
-"""Shares of the range of extensions; the first three are above its least."""
-_STEPS = {"sweep": 1.3, "chirp": 0.86, "step": 1.0}
-"""Shares of the angle error at which a servo commands the continuous torque."""
-_TORQUE = 8 / 7
-"""Torque at which an experiment ends, over the continuous torque."""
+"""Default extensions as fractions of the extension range; the first three are measured from its lower bound."""
+_ANGLE_FRACTIONS = {"sweep": 1.3, "chirp": 0.86, "step": 1.0}
+"""Default angle amplitudes as fractions of the position error at which the servo commands the continuous torque."""
+_STOP_TORQUE_RATIO = 8 / 7
+"""Default torque at which an experiment is stopped, relative to the continuous torque."""
 
 
 @dataclass(frozen=True)
 class Experiments:
-    """Extensions in the legs' own unit, motor angles in rad."""
+    """Amplitudes of experiments: extensions in the unit of the legs, motor angles in rad."""
 
     stance: Positive
-    """Extension in which the robot stands, and around which legs on a rack move."""
+    """Extension at which the robot stands, and around which legs on a rack move."""
     high: Positive
-    """Extension from which it drops."""
+    """Extension from which the robot drops."""
     low: Positive
-    """Extension to which it draws its legs in when it drops."""
+    """Extension to which the robot retracts its legs when it drops."""
     squat: Positive
-    """Amplitude of the extension when it squats."""
+    """Amplitude of the extension during squats."""
     nod: Positive
-    """Amplitude of the extension when front and back legs move against each other."""
+    """Amplitude of the extension when front and back legs move in opposite directions."""
     lift: Positive
     """Reduction of the extension of legs whose feet are dragged."""
     shorter: Positive
     """Reduction of the extension on the side that the doctor lowers."""
     longer: Positive
-    """Increase on the other side."""
+    """Increase of the extension on the other side."""
     sweep: Positive
-    """Amplitude of slow sines of motors [rad]."""
+    """Amplitude of slow sinusoidal motor motion [rad]."""
     chirp: Positive
-    """Amplitude of fast ones [rad]."""
+    """Amplitude of fast sinusoidal motor motion [rad]."""
     step: Positive
-    """Largest step of a motor's target [rad]."""
+    """Maximum step of a motor target [rad]."""
     duty: _Duty
-    """Greatest duty of PWM pulses."""
+    """Maximum duty of PWM pulses."""
     spike: _Duty
-    """Duty of PWM spikes of a single command."""
+    """Duty of PWM spikes, which last one command."""
     torque: Positive
-    """Torque [N m] beyond which an experiment ends."""
+    """Torque [N m] above which an experiment is stopped."""
 
-    def part(self, name: str, share: float) -> float:
-        """Return a share of one of these, to three decimals, as in the text of plans."""
-        return round(share * float(getattr(self, name)), 3)
+    def fraction(self, name: str, ratio: float) -> float:
+        """Return a fraction of an amplitude, rounded to three decimals as in the text of plans."""
+        return round(ratio * float(getattr(self, name)), 3)
 
 
 def read_experiments(table: Mapping[str, Any], extension: tuple[float, float], motors: ActuatorData) -> Experiments:
-    """Return the table of a sheet; its missing entries follow from the range of extensions and the motors."""
+    """Parse the table [experiments]; missing entries are derived from the extension range and the motors."""
     low, high = extension
-    defaults = {name: share * (high - low) for name, share in _EXTENSIONS.items()}
+    defaults = {name: fraction * (high - low) for name, fraction in _EXTENSION_FRACTIONS.items()}
     defaults |= {name: low + defaults[name] for name in ("stance", "high", "low")}
     duty = 0.0
     if isinstance(motors, DcMotorData):
@@ -76,6 +76,6 @@ def read_experiments(table: Mapping[str, Any], extension: tuple[float, float], m
     else:
         torque = float(np.min(np.minimum(motors.torque_limit, motors.overheat_torque)))
         angle = torque / float(np.max(motors.kp))
-    defaults |= {name: share * angle for name, share in _STEPS.items()}
-    defaults |= {"duty": 1.3 * duty, "spike": 1.15 * duty, "torque": _TORQUE * torque}
+    defaults |= {name: fraction * angle for name, fraction in _ANGLE_FRACTIONS.items()}
+    defaults |= {"duty": 1.3 * duty, "spike": 1.15 * duty, "torque": _STOP_TORQUE_RATIO * torque}
     return from_mapping(Experiments, defaults | dict(table), "experiments")

@@ -1,7 +1,7 @@
-r"""Leg space, the interface of all kinds of legs, and the five-bar leg, in closed form.
+r"""Leg space, the interface of all kinds of legs, and the closed-form kinematics of the five-bar leg.
 
-Leg space is the same for every kind: (abduction,) swing, extension. Positive abduction moves the foot away from the
-robot's middle plane, positive swing moves it backward, positive extension makes the leg longer.
+Leg space is the same for all legs: (abduction,) swing, extension. Positive abduction moves the foot away from the
+robot's sagittal plane, positive swing moves it backward, positive extension makes the leg longer.
 
 The pose of a five-bar leg is (swing s, extension e) in leg space and (theta_1, theta_2) in motor space (Tan et al.
 2018, figure 3):
@@ -25,75 +25,83 @@ from surefoot.errors import SurefootError
 
 
 class Legs(Protocol):
-    """The kinematics of a robot's L legs, all of one kind with m motors and C coordinates each.
+    """Kinematics of a robot's L legs, all of one kind with m motors and C coordinates each.
 
-    Poses in leg space have the shape (..., C, L), motor angles (..., L, m), in the order of the sheet's `legs.order`.
+    Poses in leg space have the shape (..., C, L), motor angles (..., L, m); legs are in the order of the data sheet's
+    `legs.order`.
     """
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates of leg space, in order: (abduction,) swing, extension."""
+        """Names of the leg-space coordinates in order: (abduction,) swing, extension."""
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Their units; the unit 1 of an extension is the length of the straight leg."""
+        """Units of the coordinates; an extension of 1 is the length of the straight leg."""
 
     @property
     def length(self) -> float:
         """Length of the straight leg, hip to foot [m]."""
 
     def to_motors(self, pose: ArrayLike) -> Array:
-        """Return the motor angles (..., L, m) [rad] of poses (..., C, L); NaN out of reach."""
+        """Convert poses (..., C, L) to motor angles (..., L, m) [rad]; NaN if out of reach."""
 
     def to_pose(self, angles: ArrayLike) -> Array:
-        """Return the poses (..., C, L) for motor angles (..., L, m) [rad]."""
+        """Convert motor angles (..., L, m) [rad] to poses (..., C, L)."""
 
     def foot_in_plane(self, angles: ArrayLike) -> Array:
-        """Return the feet (..., L, 2) [m] in their legs' planes from the hip axis, x forward and z up."""
+        """Return the foot positions (..., L, 2) [m] in the leg planes relative to the hip axis, x forward and z up."""
 
     def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
-        """Return the swing and extension (..., L) that bring feet to (..., L, 2) [m] in the plane; NaN out of reach."""
+        """Return swing and extension (..., L) for foot positions (..., L, 2) [m] in the plane; NaN if out of reach."""
 
     def foot_position(self, angles: ArrayLike) -> Array:
-        """Return the feet (..., L, 3) [m] from the legs' mounts, in the base frame."""
+        """Return the foot positions (..., L, 3) [m] relative to the leg mounts, in the base frame."""
 
     def foot_pose(self, foot: ArrayLike) -> Array:
-        """Return the poses (..., C, L) that bring feet to (..., L, 3) [m] from the legs' mounts; NaN out of reach.
+        """Return the poses (..., C, L) for foot positions (..., L, 3) [m] relative to the mounts; NaN if out of reach.
 
-        A leg without abduction stays in its plane, whatever y.
+        A leg without abduction ignores y and stays in its plane.
         """
 
     def jacobian(self, angles: ArrayLike) -> Array:
-        """Return the derivatives (..., L, 3, m) [m/rad] of `foot_position` by the motor angles."""
+        """Return the Jacobian (..., L, 3, m) [m/rad] of `foot_position` with respect to the motor angles."""
 
-    def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
-        """Return whether each leg (..., L) can have these motor angles."""
+    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
+        """Return the orientation (..., L, 2) [rad] of the feet's links in the base frame.
+
+        Abduction about +x, then, in the leg's plane, the angle of the line from knee to foot about +y from straight
+        down. `foot` (..., L, 3) is what `foot_position` returns for the angles.
+        """
+
+    def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether each leg (..., L) can assume these motor angles."""
 
     def knee_angles(self, angles: ArrayLike) -> Array:
-        """Return the angles (..., L, knees) [rad] of joints without a motor, as the URDF has them."""
+        """Return the URDF joint angles (..., L, knees) [rad] of the passive knee joints."""
 
 
 @dataclass(frozen=True)
 class FiveBar:
-    """Lengths [m] of a five-bar leg and its kinematics in its plane: x forward, z up from the motor axis.
+    """Link lengths [m] of a five-bar leg, and its kinematics in the leg plane: x forward, z up from the motor axis.
 
-    The foot is the end of the lower link of motor 2, its rounding included. All legs of a robot are alike.
+    The foot is the end of the lower link of motor 2, including its rounded tip. All legs of a robot have equal lengths.
     """
 
     upper: Positive
-    """Motor axis to knee, both upper links."""
+    """Length of the upper links, from motor axis to knee."""
     lower: tuple[Positive, Positive]
-    """Knee to pin joint, on the lower link of motor 1 and of motor 2."""
+    """Distances from knee to pin joint, for the lower links of motor 1 and motor 2."""
     foot: Positive
-    """Knee to the foot's end, along the lower link of motor 2."""
+    """Distance from knee to the tip of the foot, along the lower link of motor 2."""
     foot_radius: NotNegative
-    """Radius of the foot's rounded end."""
+    """Radius of the foot's rounded tip."""
 
     coordinates: ClassVar[tuple[str, ...]] = ("swing", "extension")
     units: ClassVar[tuple[str, ...]] = ("rad", "rad")
 
     def __post_init__(self) -> None:
-        """Refuse a foot that is rounder than its link is long."""
+        """Reject a foot radius that is not smaller than the length of its link."""
         if self.foot_radius >= self.foot > 0:
             raise SurefootError(
                 f"leg_geometry.foot_radius is {self.foot_radius:g}; it must be from 0 to foot {self.foot:g} m"
@@ -105,50 +113,51 @@ class FiveBar:
         return self.upper + self.foot
 
     def to_motors(self, pose: ArrayLike) -> Array:
-        """Return the motor angles (..., L, 2) [rad] of poses (..., 2, L) [rad]."""
+        """Convert poses (..., 2, L) [rad] to motor angles (..., L, 2) [rad]."""
         swing, extension = np.moveaxis(np.asarray(pose, float), -2, 0)
         return np.stack([extension + swing, extension - swing], axis=-1)
 
     def to_pose(self, angles: ArrayLike) -> Array:
-        """Return swing and extension (..., 2, L) [rad] for motor angles (..., L, 2) [rad]."""
-        theta_1, theta_2 = _split(angles)
+        """Convert motor angles (..., L, 2) [rad] to swing and extension (..., 2, L) [rad]."""
+        theta_1, theta_2 = _unstack(angles)
         return np.stack([(theta_1 - theta_2) / 2, (theta_1 + theta_2) / 2], axis=-2)
 
     def knees(self, angles: ArrayLike) -> tuple[Array, Array]:
-        """Return the positions (..., 2) [m] of both knees, x forward and z up from the motor axis."""
-        theta_1, theta_2 = _split(angles)
+        """Return the positions (..., 2) [m] of both knees relative to the motor axis, x forward and z up."""
+        theta_1, theta_2 = _unstack(angles)
         knee_1 = self.upper * np.stack([np.sin(theta_1), np.cos(theta_1)], -1)
         knee_2 = self.upper * np.stack([-np.sin(theta_2), np.cos(theta_2)], -1)
         return knee_1, knee_2
 
     def pin(self, angles: ArrayLike) -> Array:
-        """Return the pin joint (..., 2) [m], where circles around the knees meet away from the motors.
+        """Return the position (..., 2) [m] of the pin joint that connects both lower links.
 
-        NaN where the lower links are too short to meet.
+        It is the intersection of circles around the knees that is farther from the motors. NaN if the lower links are
+        too short to meet.
         """
         knee_1, knee_2 = self.knees(angles)
-        return _corner(knee_2, self.lower[1], knee_1, self.lower[0])
+        return _triangle_corner(knee_2, self.lower[1], knee_1, self.lower[0])
 
     def foot_in_plane(self, angles: ArrayLike) -> Array:
-        """Return the position (..., 2) [m] of the foot's end from the motor axis; NaN where no loop closes."""
+        """Return the position (..., 2) [m] of the foot's tip from the motor axis; NaN if the loop can't close."""
         _, knee_2 = self.knees(angles)
         return knee_2 + (self.pin(angles) - knee_2) * (self.foot / self.lower[1])
 
     def foot_position(self, angles: ArrayLike) -> Array:
-        """Return the position (..., 3) [m] of the foot's end from the leg's mount, in the base frame."""
-        x, z = _split(self.foot_in_plane(angles))
+        """Return the position (..., 3) [m] of the foot's tip relative to the leg mount, in the base frame."""
+        x, z = _unstack(self.foot_in_plane(angles))
         return np.stack([x, np.zeros_like(x), z], -1)
 
     def foot_pose(self, foot: ArrayLike) -> Array:
-        """Return the poses (..., 2, L) [rad] that bring feet to (..., L, 3) [m] from the legs' mounts, y left out."""
+        """Return the poses (..., 2, L) [rad] for foot positions (..., L, 3) [m] from the mounts; y is ignored."""
         return np.stack(self.plane_pose(np.asarray(foot, float)[..., ::2]), axis=-2)
 
     def jacobian(self, angles: ArrayLike) -> Array:
-        """Return the derivatives (..., 3, 2) [m/rad] of `foot_position`: the lower links keep their lengths.
+        """Return the Jacobian (..., 3, 2) [m/rad] of `foot_position`.
 
-        With the pin p and knees k_i: (p - k_i) . (dp - dk_i) = 0 for both.
+        The lower links keep their lengths: (p - k_i) . (dp - dk_i) = 0 for the pin p and both knees k_i.
         """
-        theta_1, theta_2 = _split(angles)
+        theta_1, theta_2 = _unstack(angles)
         speed_1 = self.upper * np.stack([np.cos(theta_1), -np.sin(theta_1)], -1)
         speed_2 = self.upper * np.stack([-np.cos(theta_2), -np.sin(theta_2)], -1)
         along = self.pin(angles)[..., None, :] - np.stack(self.knees(angles), -2)
@@ -157,43 +166,52 @@ class FiveBar:
         plane = knee_speed + (np.linalg.solve(along, right) - knee_speed) * (self.foot / self.lower[1])
         return np.insert(plane, 1, 0.0, axis=-2)
 
-    def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
-        """Return the swing and extension (...) [rad] that bring the foot's end to (..., 2) [m] from the motor axis.
+    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
+        """Return the orientation (..., 2) [rad] of the lower link of motor 2: no abduction, and its angle about +y."""
+        _, theta_2 = _unstack(angles)
+        link = np.zeros((*theta_2.shape, 2))
+        ahead, above = foot[..., 0] + self.upper * np.sin(theta_2), foot[..., 2] - self.upper * np.cos(theta_2)
+        link[..., 1] = np.arctan2(-ahead, -above)
+        return link
 
-        The inverse of `foot_in_plane`, with the knee of motor 1 in front and that of motor 2 behind; NaN out of reach.
+    def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
+        """Return swing and extension (...) [rad] for foot positions (..., 2) [m] relative to the motor axis.
+
+        This is the inverse of `foot_in_plane` with the knee of motor 1 in front and the knee of motor 2 behind; NaN if
+        out of reach.
         """
         foot, axis = np.asarray(foot, float), np.zeros(2)
-        knee_2 = _corner(axis, self.upper, foot, self.foot)
+        knee_2 = _triangle_corner(axis, self.upper, foot, self.foot)
         pin = knee_2 + (foot - knee_2) * (self.lower[1] / self.foot)
-        knee_1 = _corner(pin, self.lower[0], axis, self.upper)
-        # Straight legs turn past pi, so the branch is cut at -pi/2.
+        knee_1 = _triangle_corner(pin, self.lower[0], axis, self.upper)
+        # Motor angles of straight legs exceed pi, so the branch cut is at -pi/2.
         angles = np.arctan2([knee_1[..., 0], -knee_2[..., 0]], [knee_1[..., 1], knee_2[..., 1]])
         theta_1, theta_2 = (angles + np.pi / 2) % (2 * np.pi) - np.pi / 2
         return (theta_1 - theta_2) / 2, (theta_1 + theta_2) / 2
 
     def knee_angles(self, angles: ArrayLike) -> Array:
-        """Return the angles (..., 2) [rad] of both lower links about +y from their upper links; 0 continues them."""
+        """Return the angles (..., 2) [rad] of the lower links about +y; 0 is the direction of the upper link."""
         theta = np.asarray(angles, float) * [1.0, -1.0]
         links = self.pin(angles)[..., None, :] - np.stack(self.knees(angles), -2)
         turn = (np.arctan2(links[..., 0], links[..., 1]) - theta + np.pi) % (2 * np.pi) - np.pi
-        # The knee of motor 1 bends past pi when the leg is short, so the branch is cut at 0 instead.
+        # The knee of motor 1 bends past pi when the leg is short, so its branch cut is at 0.
         return np.stack([turn[..., 0] % (2 * np.pi), -(-turn[..., 1] % (2 * np.pi))], -1)
 
-    def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
+    def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
         """Return whether the loop can close at these motor angles (..., 2)."""
         return np.asarray(np.isfinite(self.pin(angles)).all(-1))
 
 
-def _split(pairs: ArrayLike) -> tuple[Array, Array]:
-    """Return the parts (...) of pairs (..., 2)."""
+def _unstack(pairs: ArrayLike) -> tuple[Array, Array]:
+    """Split pairs (..., 2) into their two components (...)."""
     array = np.asarray(pairs, float)
     return array[..., 0], array[..., 1]
 
 
-def _corner(a: Array, side_a: float, b: Array, side_b: float) -> Array:
-    """Return the corner (..., 2) of a triangle with corners a and b to the right of the line from a to b.
+def _triangle_corner(a: Array, side_a: float, b: Array, side_b: float) -> Array:
+    """Return the third corner (..., 2) of a triangle, to the right of the line from corner a to corner b.
 
-    `side_a` and `side_b` are its distances from a and b. NaN where they are too short or too long to meet.
+    `side_a` and `side_b` are its distances from a and b. NaN if no such triangle exists.
     """
     across = b - a
     distance = np.linalg.norm(across, axis=-1, keepdims=True)

@@ -1,4 +1,4 @@
-"""By how much the two sides of a robot differ."""
+"""Left-right symmetry of a robot's geometry."""
 
 from __future__ import annotations
 
@@ -9,27 +9,28 @@ import numpy as np
 from surefoot.robot.description import RobotDescription
 from surefoot.robot.serial_leg import SerialLegs
 
-MIRRORED = 0.005
-"""Difference of the sides, over the length of the straight leg, up to which a robot learns from mirrored samples."""
+MAX_SIDE_DIFFERENCE = 0.005
+"""Maximum difference between left and right, relative to the straight leg's length, for learning from mirrored
+samples."""
 
 
 class SideDifference(NamedTuple):
-    """The greatest difference of lengths between a leg and its mirror image."""
+    """The largest difference between a leg and the mirror image of the leg on the other side."""
 
     length: float
-    """In m."""
+    """Difference [m]."""
     text: str
-    """What differs, by how many mm, and between which legs."""
+    """Message that names the quantity, the difference in mm and both legs."""
 
 
 def side_difference(robot: RobotDescription) -> SideDifference:
-    """Return by how much places of hips and lengths of links differ left to right."""
+    """Compare hip positions and link lengths of the left and right legs."""
     legs, mounts, worst = robot.leg_geometry, robot.leg_mounts, SideDifference(0.0, "left and right are mirror images")
     for leg, mirror in enumerate(mounts * [1.0, -1.0, 1.0]):
         distances = np.linalg.norm(mounts - mirror, axis=1)
         distances[leg] = np.inf if len(mounts) > 1 else 0.0
         other = int(np.argmin(distances))
-        parts = {"hip's place": (float(distances[other]), 0.0)}
+        parts = {"hip position": (float(distances[other]), 0.0)}
         if isinstance(legs, SerialLegs):
             across = legs.hip[leg, 0] + legs.hip[other, 0], legs.hip[leg, 1] - legs.hip[other, 1]
             parts |= {
@@ -45,6 +46,6 @@ def side_difference(robot: RobotDescription) -> SideDifference:
     return worst
 
 
-def is_mirrored(robot: RobotDescription) -> bool:
-    """Return whether the sides are alike enough to learn from mirrored samples."""
-    return side_difference(robot).length <= MIRRORED * robot.leg_geometry.length
+def is_symmetric(robot: RobotDescription) -> bool:
+    """Return whether left and right are similar enough to learn from mirrored samples."""
+    return side_difference(robot).length <= MAX_SIDE_DIFFERENCE * robot.leg_geometry.length

@@ -1,4 +1,4 @@
-"""`PhysicalParams`: everything that may differ from the data sheet, one row per robot."""
+"""`PhysicalParams`: the physical parameters of robots, one row per robot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surefoot.errors import SurefootError, suggest
 
 
 class _Robot(Protocol):
-    """The part of a robot's description that parameters need."""
+    """The part of `RobotDescription` that parameters need."""
 
     @property
     def name(self) -> str: ...
@@ -27,58 +27,58 @@ class _Robot(Protocol):
     def check_allowed(self, name: str, values: Array) -> None: ...
 
 
-CONTROLLER = ("control_step", "servo_kp", "servo_kd")
-"""Parameters that a policy sets, not the robot: they stay where another robot's parameters take the place of its own,
-unless these state them."""
-GROUPS = ("body", "motors", "contact", "sensors")
-"""What parameters belong to; latencies are the sensors'."""
+CONTROLLER_PARAMETERS = ("control_step", "servo_kp", "servo_kd")
+"""Parameters that the policy defines instead of the robot: they are kept when the robot's other parameters are
+replaced, unless the replacement names them."""
+PARAMETER_GROUPS = ("body", "motors", "contact", "sensors")
+"""Groups of parameters; latencies belong to the sensors."""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """The declaration of a physical parameter."""
+    """Declaration of a physical parameter."""
 
     group: str
-    """One of `GROUPS`."""
+    """One of `PARAMETER_GROUPS`."""
     label: str
-    """Short name for people, such as "latency of readings"."""
+    """Short display name, such as "latency of readings"."""
     unit: str
-    """Unit; 1 for ratios."""
+    """Unit; 1 for ratios. Two units, separated by ", ": for DC motors and for joint actuators."""
     meaning: str
-    """What it is."""
+    """Definition, for documentation."""
     bounds: tuple[float, float]
-    """Least and greatest value, where a robot's sheet does not say what is allowed."""
+    """Default of the allowed range, which the data sheet's table [allowed] overrides."""
     per: str = ""
-    """"motors" where each motor has a value, names of axes where each axis has one, such as "x, y, z"; else empty."""
+    """"motors" if each motor has a value; axis names such as "x, y, z" if each axis has one; empty for one number."""
     nominal: float = 0.0
-    """Value of a robot whose description states none."""
+    """Default nominal value, if the robot's description has none."""
     scalable: bool = True
-    """Whether a range may be given as factors of the nominal value; not where that is 0 for most robots."""
+    """Whether a range may be given as factors of the nominal value; false if that is 0 for most robots."""
     independent: bool = False
-    """Whether each motor or axis draws a value of its own, unless a range overrides this; else all share one."""
+    """Whether randomization draws an independent value per motor or axis by default, instead of one for all."""
     actuator: str = ""
-    """Kind of the motors that have it, for others it is 0; empty: every motor."""
+    """Actuator kind that has the parameter (it is 0 for the other kind); empty: all kinds."""
     engines: tuple[str, ...] = ()
-    """Worlds whose engines model it, elsewhere it must be 0; empty: every engine."""
+    """Physics engines that model the parameter (it must be 0 in others); empty: all engines."""
     servo_only: bool = False
-    """Whether constraint motors, which have no servo, ignore it."""
+    """Whether constraint motors, which have no servo, ignore the parameter."""
 
     def belongs_to(self, robot: _Robot) -> bool:
-        """Return whether a robot's kind of motors has the parameter."""
+        """Return whether the parameter applies to the robot's kind of actuator."""
         return self.actuator in ("", robot.actuator.kind)
 
     def unit_for(self, robot: _Robot) -> str:
-        """Return the unit for a robot's kind of motors: gains of DC motors and of joint actuators have two."""
+        """Return the unit for the robot's kind of actuator; gains of DC motors and joint actuators differ in units."""
         dc, _, joint = self.unit.partition(", ")
         return joint if joint and robot.actuator.kind == "joint" else dc
 
-    def parts(self, motor_names: tuple[str, ...]) -> tuple[str, ...]:
-        """Return the names of the motors or axes that have values of their own; none for a parameter of one number."""
+    def element_names(self, motor_names: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the names of the parameter's elements, which are motors or axes; empty for a scalar parameter."""
         return motor_names if self.per == "motors" else tuple(self.per.split(", ")) if self.per else ()
 
 
 def _parameter(name: str, unit: str, meaning: str, bounds: tuple[float, float], per: str = "", **options: Any) -> Any:
-    """Declare a parameter, by its group and label "GROUP: LABEL"; see `Parameter`."""
+    """Declare a parameter; `name` is "GROUP: LABEL". See `Parameter`."""
     group, _, label = name.partition(": ")
     return field(metadata={"parameter": Parameter(group, label, unit, meaning, bounds, per, **options)})
 
@@ -88,7 +88,7 @@ def _ratio(name: str, meaning: str, bounds: tuple[float, float] = (0.2, 5.0), pe
 
 
 def _deviation(name: str, unit: str, meaning: str, bounds: tuple[float, float], per: str = "", **options: Any) -> Any:
-    """Declare a parameter that is 0 for most robots."""
+    """Declare a parameter that is 0 for most robots, such as a bias."""
     return _parameter(name, unit, meaning, bounds, per, scalable=False, independent=bool(per), **options)
 
 
@@ -96,20 +96,24 @@ def _deviation(name: str, unit: str, meaning: str, bounds: tuple[float, float], 
 class PhysicalParams:
     """Physical parameters of a batch of robots; each array's first axis is `num_envs`.
 
-    Randomization draws them, identification fits them, a world applies them. Ratios multiply the
-    description's value. A further parameter goes to the end: random draws are taken in the order of this list.
+    Randomization draws them, identification fits them, a world applies them. Ratios multiply the value of the robot's
+    description. Add new parameters at the end: random numbers are drawn in the order of this list.
     """
 
-    base_mass_ratio: Array = _ratio("body: body mass", "mass of the base with its fixed links, over the description's")
-    leg_mass_ratio: Array = _ratio("body: leg mass", "mass of every moving link, over the description's")
+    base_mass_ratio: Array = _ratio(
+        "body: body mass", "mass of the base with its fixed links, relative to the description"
+    )
+    leg_mass_ratio: Array = _ratio("body: leg mass", "mass of every moving link, relative to the description")
     motor_friction: Array = _parameter(
         "motors: Coulomb friction", "N m", "Coulomb friction in each motor", (0.0, 20.0), "motors"
     )
-    base_inertia_ratio: Array = _ratio("body: body inertia", "rotational inertia of the base, over the description's")
-    leg_inertia_ratio: Array = _ratio(
-        "body: leg inertia", "rotational inertia of every moving link, over the description's"
+    base_inertia_ratio: Array = _ratio(
+        "body: body inertia", "rotational inertia of the base, relative to the description"
     )
-    motor_strength: Array = _ratio("motors: torque", "motor torque, over the motor model's", (0.0, 2.0), "motors")
+    leg_inertia_ratio: Array = _ratio(
+        "body: leg inertia", "rotational inertia of every moving link, relative to the description"
+    )
+    motor_strength: Array = _ratio("motors: torque", "motor torque, relative to the motor model", (0.0, 2.0), "motors")
     control_step: Array = _parameter(
         "sensors: control step", "s", "time between two commands of the policy", (0.001, 0.05)
     )
@@ -149,7 +153,7 @@ class PhysicalParams:
     contact_spinning_friction: Array = _parameter(
         "contact: spinning friction",
         "m",
-        "friction torque of a foot about the contact normal, over the normal force",
+        "friction torque of a foot about the contact normal, relative to the normal force",
         (0.0, 0.5),
     )
     knee_friction: Array = _deviation(
@@ -174,7 +178,11 @@ class PhysicalParams:
         engines=("bullet",),
     )
     imu_mount: Array = _deviation(
-        "sensors: IMU mount", "rad", "roll, pitch and yaw of the IMU against the base", (-0.5, 0.5), "roll, pitch, yaw"
+        "sensors: IMU mount",
+        "rad",
+        "roll, pitch and yaw of the IMU relative to the base",
+        (-0.5, 0.5),
+        "roll, pitch, yaw",
     )
     servo_kp: Array = _parameter(
         "motors: proportional gain",
@@ -196,7 +204,7 @@ class PhysicalParams:
     load_friction: Array = _parameter(
         "motors: friction over torque",
         "1",
-        "friction of a joint actuator over its torque",
+        "friction of a joint actuator that is proportional to its torque, as a ratio",
         (0.0, 0.9),
         "motors",
         actuator="joint",
@@ -205,7 +213,7 @@ class PhysicalParams:
     speed_filter: Array = _parameter(
         "motors: filter on speeds",
         "s",
-        "time constant of the first-order filter on a joint actuator's speed",
+        "time constant of the first-order filter on a joint actuator's measured speed",
         (0.0, 0.1),
         actuator="joint",
         servo_only=True,
@@ -216,7 +224,7 @@ class PhysicalParams:
     torque_limit: Array = _parameter(
         "motors: torque limit",
         "N m",
-        "greatest torque of a joint actuator at low speed",
+        "maximum torque of a joint actuator at low speed",
         (1e-6, 1e9),
         "motors",
         actuator="joint",
@@ -224,12 +232,12 @@ class PhysicalParams:
     motor_offset: Array = _deviation(
         "sensors: offset of encoders",
         "rad",
-        "angle that each encoder measures, less the true one",
+        "angle that each encoder measures, minus the true angle",
         (-0.5, 0.5),
         "motors",
     )
     base_offset: Array = _deviation(
-        "body: centre of mass", "m", "centre of mass of the base, less the description's", (-0.1, 0.1), "x, y, z"
+        "body: centre of mass", "m", "shift of the base's centre of mass from the description", (-0.1, 0.1), "x, y, z"
     )
     imu_yaw_drift: Array = _deviation(
         "sensors: drift of the yaw", "rad/s", "bias of the gyro about z, with which the IMU's yaw drifts", (-0.5, 0.5)
@@ -237,19 +245,19 @@ class PhysicalParams:
     presliding: Array = _deviation(
         "motors: presliding angle",
         "rad",
-        "angle over which a joint actuator's friction builds up; 0: at once",
+        "angle over which a joint actuator's friction builds up after a reversal; 0: immediately",
         (0.0, 0.2),
         "motors",
         actuator="joint",
         servo_only=True,
     )
     contact_shear_ratio: Array = _ratio(
-        "contact: shear stiffness", "stiffness of the feet along the ground, over that against it", (0.01, 10.0)
+        "contact: shear stiffness", "tangential stiffness of the feet, relative to the normal stiffness", (0.01, 10.0)
     )
     torque_lag: Array = _deviation(
         "motors: lag of torques",
         "s",
-        "time constant of the first-order lag of a joint actuator's torque behind what its servo asks for",
+        "time constant of the first-order lag between commanded and actual torque of a joint actuator",
         (0.0, 0.1),
         actuator="joint",
         servo_only=True,
@@ -262,23 +270,23 @@ class PhysicalParams:
 
     @classmethod
     def names(cls, robot: _Robot | None = None) -> list[str]:
-        """Return the names of all parameters, or of those that a robot's kind of motors has."""
+        """Return the names of all parameters, or only of the parameters that apply to a robot's kind of actuator."""
         return [name for name, item in PARAMETERS.items() if robot is None or item.belongs_to(robot)]
 
     @classmethod
     def nominal(cls, robot: _Robot, num_envs: int = 1) -> PhysicalParams:
-        """Return the parameters that the robot's description states, for `num_envs` robots."""
+        """Return the nominal parameters of a robot's description for `num_envs` robots."""
         nominal, params = robot.nominal_params(), {}
         for name, declared in PARAMETERS.items():
-            shape = (num_envs, len(declared.parts(robot.motor_names))) if declared.per else (num_envs,)
+            shape = (num_envs, len(declared.element_names(robot.motor_names))) if declared.per else (num_envs,)
             params[name] = np.broadcast_to(nominal[name], shape).astype(np.float64)
         return cls(**params)
 
     def with_values(self, robot: _Robot, **values: ArrayLike) -> PhysicalParams:
-        """Return a copy with some parameters set, each given for all robots or one row per robot.
+        """Return a copy with some parameters set, each to one value for all robots or one row per robot.
 
         Raises:
-            SurefootError: no such parameter, or a value outside what the robot's description allows.
+            SurefootError: no such parameter, or a value outside the range that the robot allows.
         """
         changed = {}
         for name, value in values.items():
@@ -295,11 +303,11 @@ class PhysicalParams:
         return replace(self, **changed)
 
     def rows(self, index: ArrayLike) -> PhysicalParams:
-        """Return the parameters of some of the robots, by index."""
+        """Return the parameters of the robots at `index`."""
         return replace(self, **{name: getattr(self, name)[np.asarray(index)] for name in self.names()})
 
     def check(self, robot: _Robot) -> None:
-        """Raise `SurefootError` for a value outside what the robot's description allows."""
+        """Raise `SurefootError` if a value is outside the range that the robot allows."""
         for name in self.names(robot):
             robot.check_allowed(name, getattr(self, name))
 
@@ -314,7 +322,7 @@ PARAMETERS: dict[str, Parameter] = {item.name: item.metadata["parameter"] for it
 
 
 def check_parameter(name: str, robot: _Robot | None = None) -> None:
-    """Refuse a name that is no physical parameter, or one that a robot's kind of motors does not have."""
+    """Reject a name that is no physical parameter, or does not apply to a robot's kind of actuator."""
     if name not in PARAMETERS:
         raise SurefootError(f"'{name}' is not a physical parameter; {suggest(name, PARAMETERS)}")
     if robot is not None and not PARAMETERS[name].belongs_to(robot):
@@ -325,10 +333,10 @@ def check_parameter(name: str, robot: _Robot | None = None) -> None:
 
 
 def parse_settings(settings: list[str] | tuple[str, ...]) -> dict[str, float]:
-    """Read `name=value` words of a command line.
+    """Parse `name=value` arguments of a command line.
 
     Raises:
-        SurefootError: a word is not of that form, or names no physical parameter.
+        SurefootError: an argument does not have this form, or names no physical parameter.
     """
     parsed = {}
     for setting in settings:

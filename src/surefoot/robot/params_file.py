@@ -1,10 +1,10 @@
-"""Physical parameters of one robot in a TOML file, with further tables.
+"""Parameter files: physical parameters of one robot in TOML, with further tables.
 
     [params]
     motor_strength = [0.94, 0.97, 0.91, 1.0, 0.99, 0.93, 0.96, 0.98]
     voltage = 15.4
 
-Parameters that the file does not name are the robot's own. Other tables, with tables in them, are kept as they are.
+Parameters that the file does not name are nominal. Other tables, also nested ones, are preserved.
 """
 
 from __future__ import annotations
@@ -25,34 +25,34 @@ from surefoot.robot.description import RobotDescription
 from surefoot.robot.params import PARAMETERS, PhysicalParams, parse_settings
 
 ParamValue = float | tuple[float, ...]
-"""A parameter of one robot: one number, or one for each motor or axis."""
+"""Value of a parameter of one robot: one number, or one per motor or axis."""
 
 
 @dataclass(frozen=True)
 class ParamsFile:
-    """What a file of physical parameters has."""
+    """Content of a parameter file."""
 
     params: PhysicalParams
-    """All parameters, one row; those that the file does not name are nominal."""
+    """All parameters, one row; parameters that the file does not name are nominal."""
     names: tuple[str, ...]
-    """The parameters that the file names."""
+    """Names of the parameters in the file."""
     tables: dict[str, Any] = field(default_factory=dict)
-    """Everything else in the file, by name."""
+    """All other entries of the file, by name."""
     source: dict[str, str] = field(default_factory=dict)
-    """The file's name and the SHA-256 of what was read, as `file` and `sha256`."""
+    """Provenance: the file's name and the SHA-256 of its content, as `file` and `sha256`."""
 
     @property
     def values(self) -> dict[str, ParamValue]:
-        """The parameters that the file names, as a task holds them."""
+        """Values of the parameters in the file, in the form that a task's `params` has."""
         return param_values(self.params, self.names)
 
 
 def param_values(params: PhysicalParams, names: Iterable[str] | None = None) -> dict[str, ParamValue]:
-    """Return the parameters of one robot by name: one number each, or one per motor or axis where these differ.
+    """Return the parameters of one robot by name: one number each, or one per motor or axis if they differ.
 
     Args:
         params: one row.
-        names: parameters to give; all, if left out.
+        names: parameters to return; defaults to all.
     """
     values: dict[str, ParamValue] = {}
     for name in PhysicalParams.names() if names is None else names:
@@ -62,10 +62,10 @@ def param_values(params: PhysicalParams, names: Iterable[str] | None = None) -> 
 
 
 def find_params(path_or_name: str | Path, robot: RobotDescription) -> Path:
-    """Return the path of a file of parameters, given by path, or by the name of one that ships with the robot.
+    """Return the path of a parameter file, given by path or by the name of one in the robot's folder.
 
     Raises:
-        SurefootError: neither a file nor such a name.
+        SurefootError: it is neither a file nor such a name.
     """
     path, own = Path(path_or_name), robot.folder / f"{path_or_name}.toml"
     if path.suffix or path.exists():
@@ -83,13 +83,13 @@ def load_params(
     settings: Iterable[Iterable[str]],
     start: Mapping[str, ParamValue] | None = None,
 ) -> PhysicalParams:
-    """Return the parameters of one robot, one row.
+    """Return the parameters of one robot as one row.
 
     Args:
         robot: the robot's description.
-        path_or_name: as of `find_params`; None: nominal parameters.
-        settings: words NAME=VALUE that change some of them, a group for each `--set`.
-        start: parameters that differ from the nominal ones, unless the file names them.
+        path_or_name: the parameter file, see `find_params`; defaults to nominal parameters.
+        settings: arguments NAME=VALUE that override parameters, one group per option `--set`.
+        start: parameters that replace nominal values; the file and settings override them.
     """
     params = PhysicalParams.nominal(robot).with_values(robot, **(start or {}))
     if path_or_name is not None:
@@ -98,11 +98,11 @@ def load_params(
 
 
 def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
-    """Read the physical parameters of a robot.
+    """Read a parameter file of a robot.
 
     Raises:
-        SurefootError: no such file, no TOML, no table [params], another robot's, or a parameter or value that the
-            robot does not have.
+        SurefootError: there is no such file, it is not TOML, has no table [params], belongs to another robot, or has a
+            parameter or value that the robot does not allow.
     """
     data, content = read_toml(path)
     table = data.pop("params", None)
@@ -117,10 +117,10 @@ def read_params(path: Path, robot: RobotDescription) -> ParamsFile:
 
 
 def param_table(table: Mapping[str, Any], label: str) -> dict[str, ParamValue]:
-    """Return the parameters in a table from a file.
+    """Validate a table of parameter values from a file and return it.
 
     Raises:
-        SurefootError: a value that is neither a finite number nor a list of such.
+        SurefootError: a value is neither a finite number nor a list of finite numbers.
     """
     for name, value in table.items():
         numbers = value if isinstance(value, list) else [value]
@@ -136,20 +136,20 @@ def write_params(
     tables: Mapping[str, Any] | None = None,
     names: tuple[str, ...] | None = None,
 ) -> Path:
-    """Write the physical parameters of one robot, at full precision, whole or not at all.
+    """Write a parameter file atomically and at full precision.
 
     Args:
         path: the file.
-        robot: whose they are; its name is written too.
+        robot: the robot that the parameters belong to; its name is always written.
         params: one row.
-        tables: what else the file is to hold, such as `ParamsFile.tables`: tables of numbers, texts, dates, lists of
-            them and further tables. The name of the robot is written in any case.
-        names: parameters to write; all, if not given.
+        tables: further entries of the file, such as `ParamsFile.tables`: numbers, texts, dates, lists of them and
+            nested tables.
+        names: parameters to write; defaults to all.
 
     Raises:
-        SurefootError: a folder that does not exist, or a value that TOML cannot hold.
+        SurefootError: the folder does not exist, or TOML can't represent a value.
     """
-    others = _plain({key: value for key, value in (tables or {}).items() if key != "robot"})
+    others = _to_python({key: value for key, value in (tables or {}).items() if key != "robot"})
     first = {key: value for key, value in others.items() if not isinstance(value, dict)}
     lines = [_dump({"robot": robot.name, **first}), "[params]"]
     for name in PhysicalParams.names(robot) if names is None else names:
@@ -161,22 +161,22 @@ def write_params(
     return path
 
 
-def _plain(value: Any) -> Any:
-    """Return tables, lists and numbers of NumPy as Python's own."""
+def _to_python(value: Any) -> Any:
+    """Convert tables, lists and NumPy scalars to plain Python types."""
     if isinstance(value, Mapping):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _to_python(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_to_python(item) for item in value]
     return value.item() if isinstance(value, np.generic) else value
 
 
 def _dump(table: Mapping[str, Any]) -> str:
-    """Return a table as TOML, each list in one line."""
+    """Return a table as TOML with each list on one line."""
     import tomli_w
 
     try:
         text = tomli_w.dumps(table)
     except TypeError as error:
-        raise SurefootError(f"a file of parameters can't hold it: {error}") from error
-    # No text in it has an end of a line, so these are the lists', which `tomli_w` writes a value a line.
+        raise SurefootError(f"a parameter file can't hold it: {error}") from error
+    # TOML escapes line ends in texts, so all line ends here belong to lists, which `tomli_w` writes one value per line.
     return re.sub(r"\[\n +", "[", re.sub(r",\n +(?=[^ \]])", ", ", re.sub(r",\n *\]", "]", text)))

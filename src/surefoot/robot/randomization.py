@@ -1,7 +1,7 @@
-"""Domain randomization: physical parameters are drawn uniformly from ranges, by the parameter's name.
+"""Domain randomization: physical parameters are drawn uniformly from ranges.
 
-A range is `[LOW, HIGH]` in the parameter's unit, a list of such pairs with one for each motor or axis, or
-`{scale: [LOW, HIGH]}` or `{add: [LOW, HIGH]}` around the nominal value. Parameters without a range stay nominal.
+A range is `[LOW, HIGH]` in the parameter's unit, a list of such pairs with one per motor or axis, or
+`{scale: [LOW, HIGH]}` or `{add: [LOW, HIGH]}` relative to the nominal value. Parameters without a range stay nominal.
 """
 
 from __future__ import annotations
@@ -24,48 +24,49 @@ from surefoot.robot.params_file import read_params
 from surefoot.seeding import generator, generators
 
 Interval = tuple[float, float]
-"""Least and greatest value."""
+"""Minimum and maximum."""
 Intervals = Interval | tuple[Interval, ...]
-"""One interval, or one for each motor or axis."""
+"""One interval, or one per motor or axis."""
 
 
 @dataclass(frozen=True)
 class RelativeRange:
-    """A range around the nominal value; it has either `scale` or `add`. Draws are clipped to what the robot allows."""
+    """A range relative to the nominal value, with either `scale` or `add`. Samples are clipped to the allowed range."""
 
     scale: Intervals | None = None
-    """Factors of the nominal value."""
+    """Factors that multiply the nominal value."""
     add: Intervals | None = None
-    """What is added to the nominal value, in its unit."""
+    """Offsets that are added to the nominal value, in its unit."""
     independent: bool | None = None
-    """Whether each motor or axis draws a number of its own; as the parameter declares, if not given."""
+    """Whether each motor or axis draws an independent number; defaults to the parameter's declaration."""
 
 
 ParamRange = Interval | tuple[Interval, ...] | RelativeRange
 """A range: absolute, in the parameter's unit, or relative."""
 Ranges = dict[str, ParamRange]
-"""Ranges by the names of parameters."""
+"""Ranges by parameter name."""
 
-_TABLES = Path(__file__).parent / "ranges"
-_HIDDEN: Ranges = {
+_RANGES_FOLDER = Path(__file__).parent / "ranges"
+_HIDDEN_RANGES: Ranges = {
     "torque_constant": RelativeRange(scale=(0.9, 1.1)),
     "resistance": RelativeRange(scale=(0.9, 1.1)),
     "servo_latency": (0.001, 0.005),
 }
-"""Ranges of hidden parameters beside those of a table."""
-_FIRST_STREAM_ENDS = "servo_latency"
-"""The last parameter that draws from a robot's stream itself; later ones draw from parts far ahead in it."""
+"""Default ranges of hidden parameters that a table of ranges does not name."""
+_LAST_OF_MAIN_STREAM = "servo_latency"
+"""Last parameter that draws from the start of a robot's random stream. Parameters that were added later draw from
+segments far ahead in it, so that the earlier parameters' samples stay the same."""
 
 
 def _intervals(param_range: ParamRange) -> Array:
-    """Return the interval (2,), or those of motors or axes (k, 2), of a range."""
+    """Return the interval of a range (2,), or one per motor or axis (k, 2)."""
     if isinstance(param_range, RelativeRange):
         return np.array(param_range.add if param_range.scale is None else param_range.scale, float)
     return np.array(param_range, float)
 
 
 def resolve_range(param_range: ParamRange, nominal: Array) -> tuple[Array, Array]:
-    """Return least and greatest values, each in the shape of the nominal values, (N,) or (N, k)."""
+    """Return the minimum and maximum of a range, each in the shape of the nominal values, (N,) or (N, k)."""
     low, high = _intervals(param_range).T
     if isinstance(param_range, RelativeRange):
         return (nominal + low, nominal + high) if param_range.scale is None else (nominal * low, nominal * high)
@@ -73,20 +74,20 @@ def resolve_range(param_range: ParamRange, nominal: Array) -> tuple[Array, Array
 
 
 def mean_interval(param_range: ParamRange, nominal: Array) -> Interval:
-    """Return least and greatest value, each the mean over motors or axes that differ."""
+    """Return the minimum and maximum of a range, averaged over motors or axes if these differ."""
     low, high = (float(end.flat[0] if np.ptp(end) == 0 else end.mean()) for end in resolve_range(param_range, nominal))
     return low, high
 
 
 def is_independent(name: str, param_range: ParamRange) -> bool:
-    """Return whether each motor or axis draws a number of its own."""
+    """Return whether each motor or axis draws an independent number."""
     if isinstance(param_range, RelativeRange) and param_range.independent is not None:
         return param_range.independent
     return PARAMETERS[name].independent or _intervals(param_range).ndim == 2
 
 
 def check_ranges(ranges: Mapping[str, ParamRange], robot: RobotDescription | None = None) -> None:
-    """Refuse ranges that no robot can have, or that a robot's description does not allow."""
+    """Reject invalid ranges, and ranges that the robot does not allow."""
     for name, param_range in ranges.items():
         with prefix_errors("randomize"):
             check_parameter(name, robot)
@@ -94,13 +95,13 @@ def check_ranges(ranges: Mapping[str, ParamRange], robot: RobotDescription | Non
 
 
 def _check_range(name: str, param_range: ParamRange, robot: RobotDescription | None) -> None:
-    where, least, allowed = f"randomize.{name}", -math.inf, (-math.inf, math.inf)
+    where, minimum, allowed = f"randomize.{name}", -math.inf, (-math.inf, math.inf)
     if isinstance(param_range, RelativeRange):
         if (param_range.scale is None) == (param_range.add is None):
             raise SurefootError(f"{where} must have one of scale and add")
         where += ".add" if param_range.scale is None else ".scale"
         if param_range.scale is not None:
-            least = 0.0
+            minimum = 0.0
             if not PARAMETERS[name].scalable:
                 raise SurefootError(f"{where} is given; write add, as {name} is 0 for most robots")
     elif robot is not None:
@@ -112,7 +113,7 @@ def _check_range(name: str, param_range: ParamRange, robot: RobotDescription | N
     for bad, rule in (
         (~np.isfinite(pairs).all(axis=1), "both bounds must be finite numbers"),
         (low > high, "the lower bound must come first"),
-        (low < least, "factors are 0 or more"),
+        (low < minimum, "factors are 0 or more"),
         (
             (low < allowed[0]) | (high > allowed[1]),
             f"{by} allows {name} from {allowed[0]:g} to {allowed[1]:g} (unit: {PARAMETERS[name].unit})",
@@ -120,15 +121,15 @@ def _check_range(name: str, param_range: ParamRange, robot: RobotDescription | N
     ):
         if bad.any():
             raise SurefootError(f"{where} is [{low[bad][0]:g}, {high[bad][0]:g}]; {rule}")
-    parts = PARAMETERS[name].parts(robot.motor_names) if robot is not None else ()
+    parts = PARAMETERS[name].element_names(robot.motor_names) if robot is not None else ()
     if not len(pairs) or (robot is not None and intervals.ndim == 2 and len(pairs) != len(parts)):
         rule = f"one, or one for each of {', '.join(parts)}" if parts else "one, written [LOW, HIGH]"
         raise SurefootError(f"{where} has {len(pairs)} intervals; it must have {rule}")
 
 
 def range_names() -> list[str]:
-    """Return the names of the tables of ranges that ship with surefoot, each for every robot."""
-    return sorted(path.stem for path in _TABLES.glob("*.yaml"))
+    """Return the names of the built-in tables of ranges, which work for every robot."""
+    return sorted(path.stem for path in _RANGES_FOLDER.glob("*.yaml"))
 
 
 @dataclass(frozen=True)
@@ -137,19 +138,23 @@ class _Table:
 
 
 def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_ROBOT) -> Ranges:
-    """Read a table of ranges that a robot allows, in the order of `PARAMETERS`.
+    """Load a table of ranges for a robot, in the order of `PARAMETERS`.
 
     Args:
-        name: of a table that ships, the robot's own if it has one, or of a file of parameters that ships with the
-            robot; or the path of a file: a table (.yaml), or parameters whose intervals are the ranges (.toml).
-        folder: what the path is relative to.
+        name: name of a built-in table (a table of the same name in the robot's folder takes precedence), or of a
+            parameter file in the robot's folder; or the path of a table (.yaml), or of a parameter file (.toml) whose
+            confidence intervals are the ranges.
+        folder: folder to which the path is relative.
         robot: name or folder of the robot.
+
+    Raises:
+        SurefootError: there is no such table, or it has a range that the robot does not allow.
     """
     description = RobotDescription.load(robot)
     own = description.folder
     paths = [folder / name] if name == "robot" else [own / f"{name}.toml", folder / name]
     if name in range_names():
-        paths = [own / "ranges" / f"{name}.yaml", _TABLES / f"{name}.yaml"]
+        paths = [own / "ranges" / f"{name}.yaml", _RANGES_FOLDER / f"{name}.yaml"]
     with describe_os_errors(f"randomize {quote(name)}"):
         path = next((path for path in paths if path.is_file()), None)
     if path is None:
@@ -168,12 +173,13 @@ def _drop_none(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def resolve_table(data: dict[str, Any], folder: Path = Path(), robot: str | Path = DEFAULT_ROBOT) -> dict[str, Any]:
-    """Return a task's mapping in which `randomize` holds ranges in place of the name or the path of a table.
+    """Return a task's mapping with the table of ranges that `randomize` names replaced by its content.
 
-    It names a table either alone, or under `table` beside ranges that differ from it; None drops a range.
+    `randomize` is the name or path of a table, or a mapping that names it under `table` and has ranges that override
+    it; None removes a range.
 
     Raises:
-        SurefootError: no such table, or a file that does not fit.
+        SurefootError: there is no such table, or it is invalid.
     """
     ranges = data.get("randomize")
     if isinstance(ranges, str):
@@ -186,9 +192,9 @@ def resolve_table(data: dict[str, Any], folder: Path = Path(), robot: str | Path
 
 
 def _read_intervals(path: Path, robot: RobotDescription) -> dict[str, Any]:
-    """Return the 95 % intervals in a file of parameters, within what the robot allows.
+    """Return the 95 % confidence intervals of a parameter file, clipped to the ranges that the robot allows.
 
-    A motor or axis without an interval keeps its value, where others have one.
+    If only some motors or axes have an interval, the others keep their values.
     """
     file, ranges = read_params(path, robot), {}
     intervals = file.tables.get("intervals", {})
@@ -214,22 +220,23 @@ def _read_intervals(path: Path, robot: RobotDescription) -> dict[str, Any]:
 
 
 class Randomizer:
-    """Draws physical parameters for robots whose episodes start.
+    """Sampler of physical parameters at the start of episodes.
 
-    Each robot has a stream of random numbers of its own. An episode takes the same count of numbers in [0, 1) from it
-    for any ranges, so a robot draws the same in any batch, and a parameter's draws do not change when another range is
-    dropped. Parameters that were added later take theirs from far ahead in the same stream.
+    Each robot has its own random stream. Every episode takes the same number of uniform samples in [0, 1) from it,
+    whatever the ranges are. Therefore a robot's samples do not depend on the batch, and a parameter's samples do not
+    change when another range is removed. Parameters that were added later draw from far ahead in the same stream.
 
     Args:
-        ranges: by parameter; they must be what the robot allows.
+        ranges: ranges by parameter name; the robot must allow them.
         robot: the robot's description.
-        nominal: values of parameters that are not drawn, one row per robot.
+        nominal: values of parameters without a range, one row per robot.
         seed: seed of the streams.
-        ramp: a robot's first `ramp` episodes draw from ranges that widen from the nominal value; 0: none do.
+        ramp: number of first episodes of each robot over which the ranges widen from the nominal value; 0: full ranges
+            from the start.
     """
 
     arrays = ("drawn",)
-    """Names of the arrays that change over time."""
+    """Names of the arrays that change over time, which checkpoints store."""
 
     def __init__(
         self,
@@ -242,113 +249,114 @@ class Randomizer:
         check_ranges(ranges, robot)
         self.nominal, self._ramp = nominal, ramp
         self.drawn = np.zeros(nominal.num_envs, np.int64)
-        """Episodes of each robot that were drawn."""
+        """Number of episodes that were drawn for each robot."""
         self.ranges = {name: ranges[name] for name in PARAMETERS if name in ranges}
         self.streams = generators(seed, "randomize", nominal.num_envs)
         self.columns: list[str] = []
-        """Names of the numbers of `scaled`, in order."""
-        self._parts, numbers = _number_places(nominal)
-        # K values are drawn: those of all motors and axes of every parameter with a range.
+        """Names of the columns of `normalize`."""
+        self._parts, numbers = _stream_layout(nominal)
+        # The K sampled values are all motors and axes of every parameter with a range.
         self._columns: dict[str, slice] = {}
-        places, low, high = [np.zeros(0, np.int64)], list[Array](), list[Array]()
-        allowed, shown = list[Interval](), list[int]()
+        sample_index, low, high = [np.zeros(0, np.int64)], list[Array](), list[Array]()
+        allowed, varying = list[Interval](), list[int]()
         for name, param_range in self.ranges.items():
             ends = [end.reshape(nominal.num_envs, -1) for end in resolve_range(param_range, getattr(nominal, name))]
             independent, size, first = is_independent(name, param_range), ends[0].shape[1], len(allowed)
-            place = numbers[name, independent and not PARAMETERS[name].independent]
-            places.append(np.broadcast_to(place if independent else place[:1], size))
+            index = numbers[name, independent and not PARAMETERS[name].independent]
+            sample_index.append(np.broadcast_to(index if independent else index[:1], size))
             low.append(ends[0])
             high.append(ends[1])
             allowed += [robot.allowed[name]] * size
             self._columns[name] = slice(first, first + size)
             if np.ptp(_intervals(param_range), axis=-1).any():
-                parts = PARAMETERS[name].parts(robot.motor_names) if independent else ()
+                parts = PARAMETERS[name].element_names(robot.motor_names) if independent else ()
                 self.columns += [f"{name}.{part}" for part in parts] or [name]
-                shown += range(first, first + (len(parts) or 1))
-        self._places, self._shown = np.concatenate(places), np.array(shown, np.int64)
+                varying += range(first, first + (len(parts) or 1))
+        self._sample_index, self._varying = np.concatenate(sample_index), np.array(varying, np.int64)
         none = np.zeros((nominal.num_envs, 0))
         self._low, self._high = np.concatenate([none, *low], axis=1), np.concatenate([none, *high], axis=1)
         self._allowed = np.reshape(allowed, (-1, 2)).T
 
     @property
     def enabled(self) -> bool:
-        """Whether anything is drawn at all."""
+        """Whether any parameter is randomized."""
         return bool(self.ranges)
 
     def draw(self, index: NDArray[np.int64]) -> PhysicalParams:
-        """Return the parameters of new episodes of the robots at `index`, one row each."""
+        """Draw the parameters for new episodes of the robots at `index`, one row each."""
         unit = np.empty((len(index), self._parts[-1].stop))
         for jumps, part in reversed([*enumerate(self._parts)]):
-            if jumps and not np.any((self._places >= part.start) & (self._places < part.stop)):
+            if jumps and not np.any((self._sample_index >= part.start) & (self._sample_index < part.stop)):
                 continue
-            # The stream itself comes last: the other parts are counted from where it stands.
+            # Segments ahead are relative to the stream's current state, so the stream itself is advanced last.
             size = part.stop - part.start
-            unit[:, part] = [_ahead(self.streams[i], jumps).uniform(size=size) for i in index]
+            unit[:, part] = [_jumped(self.streams[i], jumps).uniform(size=size) for i in index]
         low, high = self._low[index], self._high[index]
-        drawn = np.clip(low + (high - low) * unit[:, self._places], *self._allowed)
+        drawn = np.clip(low + (high - low) * unit[:, self._sample_index], *self._allowed)
         params = self.nominal.rows(index)
         self.drawn[index] += 1
         for name, columns in self._columns.items():
             values = getattr(params, name)
             new = drawn[:, columns].reshape(values.shape)
             if self._ramp:
-                share = np.minimum(self.drawn[index] / self._ramp, 1.0).reshape(-1, *[1] * (values.ndim - 1))
-                new = values + share * (new - values)
+                progress = np.minimum(self.drawn[index] / self._ramp, 1.0).reshape(-1, *[1] * (values.ndim - 1))
+                new = values + progress * (new - values)
             values[...] = new
         return params
 
-    def scaled(self, params: PhysicalParams) -> Array:
-        """Return drawn parameters scaled to -1 to 1 (N, P), for a privileged critic."""
+    def normalize(self, params: PhysicalParams) -> Array:
+        """Return the randomized parameters normalized to -1 to 1 (N, P), for a privileged critic."""
         num = params.num_envs
         values = np.concatenate(
             [np.zeros((num, 0)), *(getattr(params, name).reshape(num, -1) for name in self.ranges)], 1
         )
-        low, high = self._low[:num, self._shown], self._high[:num, self._shown]
+        low, high = self._low[:num, self._varying], self._high[:num, self._varying]
         width = high - low
-        return np.divide(2 * values[:, self._shown] - low - high, width, out=np.zeros(width.shape), where=width != 0)
+        return np.divide(2 * values[:, self._varying] - low - high, width, out=np.zeros(width.shape), where=width != 0)
 
 
-def _number_places(nominal: PhysicalParams) -> tuple[list[slice], dict[tuple[str, bool], NDArray[np.int64]]]:
-    """Return the parts of an episode's numbers in [0, 1), and each parameter's places among them.
+def _stream_layout(nominal: PhysicalParams) -> tuple[list[slice], dict[tuple[str, bool], NDArray[np.int64]]]:
+    """Return the segments of an episode's uniform samples, and the indices of each parameter's samples.
 
-    The parts are the stream itself, and two far ahead in it: of later parameters, and of parameters that share a
-    number, where a range makes motors or axes independent (True in the key).
+    The first segment is the start of the stream. Two are far ahead in it: one for parameters that were added later,
+    and one for parameters whose motors or axes share a sample by default, if a range makes them independent (True in
+    the key).
     """
     sizes = {name: getattr(nominal, name)[0].size for name in PARAMETERS}
     own = {name: sizes[name] if declared.independent else 1 for name, declared in PARAMETERS.items()}
     names = list(PARAMETERS)
-    later = names.index(_FIRST_STREAM_ENDS) + 1
+    later = names.index(_LAST_OF_MAIN_STREAM) + 1
     shared = [name for name in names if not PARAMETERS[name].independent]
-    parts, places, end = list[slice](), {}, 0
+    parts, sample_index, end = list[slice](), {}, 0
     for part, counts in ((names[:later], own), (names[later:], own), (shared, sizes)):
         start = end
         for name in part:
-            places[name, counts is sizes] = np.arange(end, end + counts[name])
+            sample_index[name, counts is sizes] = np.arange(end, end + counts[name])
             end += counts[name]
         parts.append(slice(start, end))
-    return parts, places
+    return parts, sample_index
 
 
-def _ahead(stream: np.random.Generator, jumps: int) -> np.random.Generator:
-    """Return a stream of random numbers, advanced by `jumps` times 2^127 numbers or more; the stream itself for 0."""
+def _jumped(stream: np.random.Generator, jumps: int) -> np.random.Generator:
+    """Return a copy of a random stream advanced by `jumps` times at least 2^127 numbers; the stream itself for 0."""
     bits = stream.bit_generator
     assert isinstance(bits, np.random.PCG64)
     return np.random.Generator(bits.jumped(jumps)) if jumps else stream
 
 
 def draw_hidden(robot: RobotDescription, ranges: Mapping[str, ParamRange], seed: int) -> PhysicalParams:
-    """Draw one robot's hidden parameters; those without a range stay nominal.
+    """Draw one robot's hidden parameters; parameters without a range stay nominal.
 
-    Torque constant and resistance are within 10 % of the sheet's, the servo's latency is 1 to 5 ms, unless they have
-    ranges. The control step stays, as it belongs to the control computer.
+    By default the torque constant and resistance vary by 10 % and the servo latency is 1 to 5 ms. The control step is
+    never drawn, because it belongs to the control computer.
     """
     nominal = PhysicalParams.nominal(robot)
-    hidden = {name: param_range for name, param_range in _HIDDEN.items() if PARAMETERS[name].belongs_to(robot)}
+    hidden = {name: param_range for name, param_range in _HIDDEN_RANGES.items() if PARAMETERS[name].belongs_to(robot)}
     drawn = {}
     for name, param_range in {**hidden, **ranges}.items():
         if name == "control_step":
             continue
-        # A stream for each name: draws of a parameter do not change with the others.
+        # One stream per name, so that a parameter's sample does not depend on the other ranges.
         values = getattr(nominal, name)
         size = values.shape if is_independent(name, param_range) else 1
         unit = generator(seed, f"hidden {name}").uniform(size=size)

@@ -1,15 +1,17 @@
-"""Serial legs: (abduction,) hip and knee, in closed form.
+"""Closed-form kinematics of serial legs with (abduction,) hip and knee.
 
-A leg's plane holds hip axis, knee axis and foot; abduction turns it about the base's x axis. In the plane, x forward
-and z up from the hip axis, with the angles h and k of hip and knee about the base's +y axis and the links' angles phi
-at zero, measured from straight down (an angle a points to (-sin a, -cos a)):
+The foot moves in the leg plane, which abduction turns about the x axis of the base; hip and knee axes are normal to it.
+In the plane, x is forward and z up from the hip axis. h and k are the hip and knee angles about the +y axis of the
+base. phi_1 and phi_2 are the directions of upper and lower link at zero angles, measured from straight down (an angle a
+points to (-sin a, -cos a)):
 
     upper link at  u = h + phi_1,   lower link at  u + beta,   beta = k + phi_2 - phi_1
     length  r^2 = l_1^2 + l_2^2 + 2 l_1 l_2 cos beta
     swing   s = u + atan2(l_2 sin beta, l_1 + l_2 cos beta)
     extension  e = r / (l_1 + l_2)
 
-beta is 0 for the straight leg, over 0 where the knee points forward, under 0 where it points backward.
+The knee bend beta is 0 for the straight leg, positive for knees that point forward, negative for knees that point
+backward.
 """
 
 from __future__ import annotations
@@ -22,12 +24,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.robot.sheet import Leg
+from surefoot.robot.data_sheet import Leg
 
 _AXIS_TOLERANCE = 1e-6
-"""How far a leg's axes may be from the base's axes, as cosines."""
+"""Tolerance of the cosine between a joint axis and an axis of the base."""
 _MIN_LENGTH = 1e-3
-"""Length [m] under which a link is none."""
+"""Minimum length of a link [m]."""
 
 
 @dataclass(frozen=True)
@@ -39,41 +41,41 @@ class SerialLegs:
     """
 
     turn: Array
-    """Sense of each motor (L, m), 1 or -1."""
+    """Sign of each motor (L, m), 1 or -1."""
     side: Array
-    """1 for legs on the left, -1 on the right: abduction turns the foot away from the middle."""
+    """1 for legs on the left, -1 on the right: positive abduction moves the foot away from the sagittal plane."""
     hip: Array
-    """Hip axis from the abduction axis at zero, (L, 2): y and z in the base frame [m]; y includes all offsets of the
-    leg's plane. Zero without abduction."""
+    """Position (L, 2) of the hip axis relative to the abduction axis at zero angles, y and z in the base frame [m]; y
+    includes all lateral offsets of the leg plane. Zero without abduction."""
     upper: Array
-    """Distance l_1 of hip and knee axes [m]."""
+    """Distance l_1 between hip and knee axes [m]."""
     lower: Array
-    """Distance l_2 of the knee axis and the foot's centre [m]."""
+    """Distance l_2 between the knee axis and the foot's centre [m]."""
     upper_angle: Array
-    """phi_1 [rad]."""
+    """Direction phi_1 of the upper link at zero angles [rad]."""
     lower_angle: Array
-    """phi_2 [rad]."""
+    """Direction phi_2 of the lower link at zero angles [rad]."""
     knee: Array
     """Sign of beta: 1 for knees that point forward, -1 for knees that point backward."""
 
     @classmethod
-    def from_places(
-        cls, legs: Sequence[Leg], mounts: Array, places: Array, axes: Array, signs: Array, feet: Array
+    def from_positions(
+        cls, legs: Sequence[Leg], mounts: Array, positions: Array, axes: Array, signs: Array, feet: Array
     ) -> SerialLegs:
-        """Return the legs of a robot at zero angles, all places and axes in the base's frame.
+        """Compute the geometry from joint axes and foot positions at zero angles, all in the base frame.
 
         Args:
-            legs: names of the legs and their motors, and where knees point.
-            mounts: places (L, 3) [m] from which `foot_position` counts.
-            places: points (L, m, 3) [m] on the joints' axes.
-            axes: directions (L, m, 3) of the axes.
-            signs: joint angle over motor angle (L, m), 1 or -1.
+            legs: names of the legs and their motors, and knee directions.
+            mounts: positions (L, 3) [m] to which `foot_position` is relative.
+            positions: points (L, m, 3) [m] on the joint axes.
+            axes: directions (L, m, 3) of the joint axes.
+            signs: ratio of joint angle to motor angle (L, m), 1 or -1.
             feet: centres (L, 3) [m] of the feet.
 
         Raises:
-            SurefootError: axes that are not along the base's x (abduction) and y (hip, knee), or a link without length.
+            SurefootError: an axis is not along the base's x (abduction) or y (hip, knee), or a link has no length.
         """
-        along = np.array((0, 1, 1)[-places.shape[1] :])
+        along = np.array((0, 1, 1)[-positions.shape[1] :])
         cosines = np.take_along_axis(axes, along[None, :, None], axis=2)[..., 0]
         for row, motor in np.argwhere(np.abs(np.abs(cosines) - 1.0) > _AXIS_TOLERANCE):
             x, y, z = axes[row, motor]
@@ -81,12 +83,15 @@ class SerialLegs:
                 f"legs.{legs[row].name}: {legs[row].motors[motor]}: its axis at zero is ({x:.3g}, {y:.3g}, {z:.3g}) "
                 f"in the base frame; it must be along {'xy'[along[motor]]}"
             )
-        hips, knees = places[:, -2], places[:, -1]
+        hips, knees = positions[:, -2], positions[:, -1]
         links = np.stack([knees - hips, feet - knees])[..., [0, 2]]
         lengths = np.array([[np.linalg.norm(link) for link in row] for row in links])
         for part, row in np.argwhere(~(lengths > _MIN_LENGTH)):
             name = ("hip to knee", "knee to foot")[part]
-            raise SurefootError(f"legs.{legs[row].name}: {name} is {lengths[part, row]:.3g} m long; a leg has links")
+            raise SurefootError(
+                f"legs.{legs[row].name}: the link from {name} is {lengths[part, row]:.3g} m long; it must be over "
+                f"{_MIN_LENGTH:g} m long"
+            )
         return cls(
             turn=np.sign(cosines) * signs,
             side=np.where(feet[:, 1] >= 0, 1.0, -1.0),
@@ -105,12 +110,12 @@ class SerialLegs:
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of the coordinates of leg space."""
+        """Names of the leg-space coordinates."""
         return ("abduction", "swing", "extension") if self.abducts else ("swing", "extension")
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Units of the coordinates; extension counts lengths of the straight leg."""
+        """Units of the coordinates; extension is relative to the straight leg's length."""
         return ("rad", "rad", "1") if self.abducts else ("rad", "1")
 
     @property
@@ -119,26 +124,26 @@ class SerialLegs:
         return float(np.mean(self.upper + self.lower))
 
     def _joints(self, angles: ArrayLike) -> tuple[Array, Array, Array]:
-        """Return abduction a about +x, upper link's angle u and beta (..., L) [rad] for motor angles (..., L, m)."""
+        """Return abduction about +x, upper link angle u and knee bend beta (..., L) [rad] from motor angles."""
         joint = np.asarray(angles, float) * self.turn
         upper = joint[..., -2] + self.upper_angle
         beta = joint[..., -1] + self.lower_angle - self.upper_angle
         return joint[..., 0] if self.abducts else np.zeros_like(upper), upper, beta
 
     def to_pose(self, angles: ArrayLike) -> Array:
-        """Return the poses (..., C, L) for motor angles (..., L, m) [rad]."""
+        """Convert motor angles (..., L, m) [rad] to poses (..., C, L)."""
         abduction, upper, beta = self._joints(angles)
         ahead, aside = self.upper + self.lower * np.cos(beta), self.lower * np.sin(beta)
         parts = [upper + np.arctan2(aside, ahead), np.hypot(ahead, aside) / (self.upper + self.lower)]
         return np.stack([self.side * abduction, *parts] if self.abducts else parts, axis=-2)
 
     def to_motors(self, pose: ArrayLike) -> Array:
-        """Return the motor angles (..., L, m) [rad] of poses (..., C, L); NaN out of reach."""
+        """Convert poses (..., C, L) to motor angles (..., L, m) [rad]; NaN if out of reach."""
         pose = np.asarray(pose, float)
         swing, length = pose[..., -2, :], pose[..., -1, :] * (self.upper + self.lower)
         cosine = (length**2 - self.upper**2 - self.lower**2) / (2 * self.upper * self.lower)
         with np.errstate(invalid="ignore"):
-            # The straight leg's cosine may be over 1 by rounding.
+            # The straight leg's cosine may exceed 1 by rounding.
             beta = self.knee * np.arccos(np.where(np.abs(cosine - 1) < 1e-12, 1.0, cosine))
         upper = swing - np.arctan2(self.lower * np.sin(beta), self.upper + self.lower * np.cos(beta))
         joints = [upper - self.upper_angle, beta - self.lower_angle + self.upper_angle]
@@ -147,26 +152,26 @@ class SerialLegs:
         return np.stack(joints, axis=-1) * self.turn
 
     def foot_in_plane(self, angles: ArrayLike) -> Array:
-        """Return the feet's centres (..., L, 2) [m] from the hip axes in the legs' planes, x forward and z up."""
+        """Return the foot centres (..., L, 2) [m] in the leg planes relative to the hip axes, x forward and z up."""
         _, upper, beta = self._joints(angles)
         x = -self.upper * np.sin(upper) - self.lower * np.sin(upper + beta)
         z = -self.upper * np.cos(upper) - self.lower * np.cos(upper + beta)
         return np.stack([x, z], axis=-1)
 
     def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
-        """Return the swing [rad] and extension (..., L) that bring feet to (..., L, 2) [m] in the plane.
+        """Return swing [rad] and extension (..., L) for foot positions (..., L, 2) [m] in the leg planes.
 
-        NaN out of reach.
+        NaN if out of reach.
         """
-        place = np.asarray(foot, float)
-        extension = np.hypot(place[..., 0], place[..., 1]) / (self.upper + self.lower)
-        shortest = np.abs(self.upper - self.lower) / (self.upper + self.lower)
-        reached = (extension <= 1.0) & (extension >= shortest)
-        swing = np.arctan2(-place[..., 0], -place[..., 1])
-        return np.where(reached, swing, np.nan), np.where(reached, extension, np.nan)
+        position = np.asarray(foot, float)
+        extension = np.hypot(position[..., 0], position[..., 1]) / (self.upper + self.lower)
+        min_extension = np.abs(self.upper - self.lower) / (self.upper + self.lower)
+        in_reach = (extension <= 1.0) & (extension >= min_extension)
+        swing = np.arctan2(-position[..., 0], -position[..., 1])
+        return np.where(in_reach, swing, np.nan), np.where(in_reach, extension, np.nan)
 
     def foot_position(self, angles: ArrayLike) -> Array:
-        """Return the feet's centres (..., L, 3) [m] from the legs' mounts, in the base frame."""
+        """Return the foot centres (..., L, 3) [m] relative to the leg mounts, in the base frame."""
         abduction, _, _ = self._joints(angles)
         plane = self.foot_in_plane(angles)
         y, z = self.hip[:, 0], self.hip[:, 1] + plane[..., 1]
@@ -174,12 +179,12 @@ class SerialLegs:
         return np.stack([plane[..., 0], cos * y - sin * z, sin * y + cos * z], axis=-1)
 
     def foot_pose(self, foot: ArrayLike) -> Array:
-        """Return the poses (..., C, L) that bring feet to (..., L, 3) [m] from the legs' mounts, below the mounts.
+        """Return the poses (..., C, L) for foot positions (..., L, 3) [m] relative to and below the leg mounts.
 
-        A leg without abduction stays in its plane, whatever y. NaN out of reach.
+        A leg without abduction ignores y and stays in its plane. NaN if out of reach.
         """
-        place = np.asarray(foot, float)
-        x, y, z = place[..., 0], place[..., 1], place[..., 2]
+        position = np.asarray(foot, float)
+        x, y, z = position[..., 0], position[..., 1], position[..., 2]
         if not self.abducts:
             return np.stack(self.plane_pose(np.stack([x, z - self.hip[:, 1]], -1)), axis=-2)
         aside = self.hip[:, 0]
@@ -190,22 +195,27 @@ class SerialLegs:
         return np.stack([self.side * abduction, *self.plane_pose(np.stack([x, below - self.hip[:, 1]], -1))], axis=-2)
 
     def jacobian(self, angles: ArrayLike) -> Array:
-        """Return the derivatives (..., L, 3, m) [m/rad] of `foot_position` by the motor angles."""
+        """Return the Jacobian (..., L, 3, m) [m/rad] of `foot_position` with respect to the motor angles."""
         abduction, upper, beta = self._joints(angles)
         cos, sin = np.cos(abduction), np.sin(abduction)
         below = self.lower[:, None] * np.stack([-np.cos(upper + beta), np.sin(upper + beta)], -1)
         both = below + self.upper[:, None] * np.stack([-np.cos(upper), np.sin(upper)], -1)
-        # A change of z in the plane moves the foot along the plane's own upward direction (0, -sin a, cos a).
+        # In the base frame, the plane's z axis is (0, -sin a, cos a) with the abduction a.
         columns = [np.stack([part[..., 0], -sin * part[..., 1], cos * part[..., 1]], -1) for part in (both, below)]
         if self.abducts:
             foot = self.foot_position(angles)
             columns = [np.stack([np.zeros_like(cos), -foot[..., 2], foot[..., 1]], -1), *columns]
         return np.stack(columns, axis=-1) * self.turn[:, None, :]
 
-    def closes(self, angles: ArrayLike) -> NDArray[np.bool_]:
-        """Return true for each leg (..., L): there is no loop."""
+    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
+        """Return the orientation (..., L, 2) [rad] of the lower links: abduction about +x, then the angle about +y."""
+        abduction, upper, beta = self._joints(angles)
+        return np.stack([abduction, upper + beta], axis=-1)
+
+    def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
+        """Return true for each leg (..., L) with finite angles: a serial leg has no loop that must close."""
         return np.isfinite(np.asarray(angles, float)).all(axis=-1)
 
     def knee_angles(self, angles: ArrayLike) -> Array:
-        """Return no angles (..., L, 0): every joint has a motor."""
+        """Return an empty array (..., L, 0): every joint has a motor."""
         return np.zeros((*np.shape(angles)[:-1], 0))

@@ -1,4 +1,4 @@
-"""A robot as a URDF describes it: links with their inertias and shapes, joints, and the kinematics of their tree."""
+"""Model of a URDF: links with inertias and shapes, joints, and forward kinematics."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ class Shape:
     kind: str
     """box, cylinder or sphere."""
     size: tuple[float, ...]
-    """Box: half of the sides; cylinder: radius and half of the length along z; sphere: radius [m]."""
+    """Box: half side lengths; cylinder: radius and half length along z; sphere: radius [m]."""
     frame: Array
-    """Frame (4, 4) of the shape in the link's."""
+    """Frame (4, 4) of the shape in the link's frame."""
     color: Color = GREY
 
     @property
@@ -42,12 +42,12 @@ class Shape:
 
     @property
     def rotation(self) -> Array:
-        """Rotation (3, 3) from the shape's axes to the link's."""
+        """Rotation (3, 3) from the shape's to the link's frame."""
         return self.frame[:3, :3]
 
     @property
     def corners(self) -> Array:
-        """Corners (8, 3) of a box around it, in the link's frame [m]."""
+        """Corners (8, 3) of the bounding box along the shape's axes, in the link's frame [m]."""
         half = self.size if self.kind == "box" else (self.size[0], self.size[0], self.size[-1])
         signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), axis=-1).reshape(-1, 3)
         corners: Array = signs * half @ self.rotation.T + self.position
@@ -56,7 +56,7 @@ class Shape:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """A rigid link, all in its own frame. Shapes that are no box, cylinder or sphere are left out."""
+    """A rigid link; all quantities are in its frame. Only boxes, cylinders and spheres are kept of its shapes."""
 
     body: RigidBody
     visuals: tuple[Shape, ...]
@@ -78,14 +78,14 @@ class Joint:
     parent: str
     child: str
     axis: tuple[float, float, float]
-    """Direction of the axis in the child's frame, of length 1."""
+    """Unit vector of the axis in the child's frame."""
     frame: Array
-    """Frame (4, 4) of the child in the parent's at angle 0."""
+    """Frame (4, 4) of the child in the parent's frame at angle 0."""
     limits: tuple[float, float] | None = None
     """Range of the angle [rad]; None: unlimited."""
 
     def child_frame(self, angle: ArrayLike) -> Array:
-        """Return the frames (..., 4, 4) of the child in the parent's at angles (...) [rad]."""
+        """Return the frames (..., 4, 4) of the child in the parent's frame at angles (...) [rad]."""
         half = np.asarray(angle, float)[..., None] / 2
         turn = np.zeros((*half.shape[:-1], 4, 4))
         turn[..., 3, 3] = 1.0
@@ -109,7 +109,7 @@ class Urdf:
 
     @cached_property
     def tree(self) -> tuple[Joint, ...]:
-        """All joints, each after the one that carries its parent."""
+        """All joints, ordered from root to leaves: each follows the joint that moves its parent link."""
         tree: list[Joint] = []
         waiting = [self.root]
         while waiting:
@@ -125,7 +125,7 @@ class Urdf:
         return sum(link.mass for link in self.links.values())
 
     def frames(self, angles: Mapping[str, ArrayLike] = _NO_ANGLES) -> dict[str, Array]:
-        """Return the frames (..., 4, 4) of all links in the root's, at angles (...) [rad] by joint; others are at 0."""
+        """Return the frames (..., 4, 4) of all links in the root frame; `angles` (...) [rad] by joint default to 0."""
         frames = {self.root: np.eye(4)}
         for joint in self.tree:
             step = joint.child_frame(angles[joint.name]) if joint.name in angles else joint.frame
@@ -133,19 +133,19 @@ class Urdf:
         return frames
 
     @cached_property
-    def places(self) -> dict[str, tuple[str, Array]]:
-        """For each link the topmost of the links that are fixed to it, and its frame (4, 4) in that one's."""
-        places = {self.root: (self.root, np.eye(4))}
+    def fused_frames(self) -> dict[str, tuple[str, Array]]:
+        """For each link: the topmost link that is rigidly fixed to it, and the link's frame (4, 4) in that link."""
+        frames = {self.root: (self.root, np.eye(4))}
         for joint in self.tree:
-            top, frame = places[joint.parent]
-            places[joint.child] = (top, frame @ joint.frame) if joint.kind == "fixed" else (joint.child, np.eye(4))
-        return places
+            top, frame = frames[joint.parent]
+            frames[joint.child] = (top, frame @ joint.frame) if joint.kind == "fixed" else (joint.child, np.eye(4))
+        return frames
 
     def fixed_to(self, link: str) -> set[str]:
-        """Return the names of the links that move as one with `link`, itself included."""
-        return {name for name, (top, _) in self.places.items() if top == self.places[link][0]}
+        """Return the names of the links that are rigidly fixed to `link`, including itself."""
+        return {name for name, (top, _) in self.fused_frames.items() if top == self.fused_frames[link][0]}
 
-    def below(self, joint: str) -> set[str]:
+    def links_below(self, joint: str) -> set[str]:
         """Return the names of the links that a joint moves."""
         links = {self.joints[joint].child}
         for other in self.tree:
@@ -154,13 +154,13 @@ class Urdf:
         return links
 
     def fuse_fixed_links(self, shifts: Mapping[str, Array] = _NO_SHIFTS) -> Urdf:
-        """Return the URDF with links that fixed joints join as one, which has the topmost one's name and frame.
+        """Return the URDF with rigidly fixed links fused into one, which has the topmost link's name and frame.
 
-        Visuals are left out. `shifts` (3,) [m] moves centres of mass of fused links, by name.
+        Visuals are dropped. `shifts` (3,) [m] by name move the centres of mass of fused links.
         """
         links: dict[str, Link] = {}
-        for top in dict.fromkeys(top for top, _ in self.places.values()):
-            parts = [(self.links[name], frame) for name, (other, frame) in self.places.items() if other == top]
+        for top in dict.fromkeys(top for top, _ in self.fused_frames.values()):
+            parts = [(self.links[name], frame) for name, (other, frame) in self.fused_frames.items() if other == top]
             body = fuse([(link.body, frame) for link, frame in parts])
             shapes = [
                 replace(shape, link=top, frame=frame @ shape.frame)
@@ -170,7 +170,7 @@ class Urdf:
             links[top] = Link(replace(body, centre=body.centre + shifts.get(top, 0.0)), (), tuple(shapes))
         joints: dict[str, Joint] = {}
         for name, joint in self.joints.items():
-            top, frame = self.places[joint.parent]
+            top, frame = self.fused_frames[joint.parent]
             if joint.kind != "fixed":
                 joints[name] = replace(joint, parent=top, frame=frame @ joint.frame)
         return Urdf(self.path, links, joints)

@@ -1,7 +1,4 @@
-"""Read, check and write URDF files.
-
-Physics engines parse URDF themselves; this module checks a file without an engine.
-"""
+"""Read, validate and write URDF files without a physics engine."""
 
 from __future__ import annotations
 
@@ -23,18 +20,18 @@ from surefoot.robot.urdf import GREY, Color, Joint, Link, Shape, Urdf
 from surefoot.rotations import matrix_rpy, rpy_matrix
 
 KINDS = ("fixed", "revolute", "continuous")
-"""Types of joints that robots have here."""
+"""Supported joint types."""
 _UNBOUND_PREFIX = codes[XML_ERROR_UNBOUND_PREFIX]
 _MAX_DEPTH = 200
-"""Elements in each other that are read: writers of XML end at Python's own limit."""
+"""Maximum nesting of XML elements; deeper files would exceed Python's recursion limit when written."""
 
 
 def read_xml(path: Path) -> ElementTree.Element:
-    """Return the root element of an XML file; refuse one that can't be read, entities, and deep nesting."""
+    """Return the root element of an XML file; reject unreadable files, entities and deep nesting."""
     with describe_os_errors(path):
         content = read_configuration(path)
     if b"<!DOCTYPE" in content or b"<!ENTITY" in content:
-        raise SurefootError(f"{path}: declares XML entities; a robot's description has none")
+        raise SurefootError(f"{path}: declares XML entities; a robot's description needs none")
     try:
         root = ElementTree.fromstring(content)
     except ElementTree.ParseError as error:
@@ -47,12 +44,12 @@ def read_xml(path: Path) -> ElementTree.Element:
     while level:
         level, depth = [child for element in level for child in element], depth + 1
         if depth > _MAX_DEPTH:
-            raise SurefootError(f"{path}: has over {_MAX_DEPTH} elements in each other; a robot's description has few")
+            raise SurefootError(f"{path}: nests over {_MAX_DEPTH} elements; a robot's description nests few")
     return root
 
 
 def attribute(element: ElementTree.Element | None, key: str, default: str = "") -> str:
-    """Return an attribute of an element; the default if either is missing."""
+    """Return an attribute of an element, or the default if the element or attribute is missing."""
     return default if element is None else element.get(key, default)
 
 
@@ -60,8 +57,8 @@ def read_urdf(path: Path) -> Urdf:
     """Read a URDF.
 
     Raises:
-        SurefootError: the file can't be read or is not a URDF, its joints are not a tree, or a link, joint or shape is
-            invalid.
+        SurefootError: the file can't be read or is not a URDF, its joints do not form a tree, or a link, joint or shape
+            is invalid.
     """
     robot = read_xml(path)
     if robot.tag != "robot":
@@ -78,7 +75,7 @@ def read_urdf(path: Path) -> Urdf:
     children: set[str] = set()
     for joint in joints.values():
         if joint.child in children:
-            raise SurefootError(f"{path}: link '{joint.child}' has two parents; joints must be a tree")
+            raise SurefootError(f"{path}: link '{joint.child}' has two parents; joints must form a tree")
         children.add(joint.child)
     roots = [name for name in links if name not in children]
     if len(roots) != 1:
@@ -87,12 +84,12 @@ def read_urdf(path: Path) -> Urdf:
         )
     urdf = Urdf(path, links, joints)
     if missing := children - {joint.child for joint in urdf.tree}:
-        raise SurefootError(f"{path}: links are joined in a circle ({choices(sorted(missing))}); joints must be a tree")
+        raise SurefootError(f"{path}: joints form a loop ({choices(sorted(missing))}); they must form a tree")
     return urdf
 
 
 def read_colors(robot: ElementTree.Element, path: Path) -> dict[str, Color]:
-    """Return the colors of a URDF's materials by name, wherever they stand in it."""
+    """Return the colors of all materials in a URDF by name."""
     return {
         item.get("name", ""): color
         for item in robot.iter("material")
@@ -101,17 +98,17 @@ def read_colors(robot: ElementTree.Element, path: Path) -> dict[str, Color]:
 
 
 def _read_names(elements: Iterable[ElementTree.Element], path: Path) -> dict[str, ElementTree.Element]:
-    """Return elements by their names; refuse two of one name."""
+    """Return elements by name; reject duplicate names."""
     names: dict[str, ElementTree.Element] = {}
     for element in elements:
         if (name := element.get("name", "")) in names:
-            raise SurefootError(f"{path}: there are two {element.tag}s '{name}'; each must have a name of its own")
+            raise SurefootError(f"{path}: there are two {element.tag}s '{name}'; names must be unique")
         names[name] = element
     return names
 
 
 def read_numbers(text: str, count: int, where: str) -> tuple[float, ...]:
-    """Return `count` finite numbers of a text; error messages begin with `where`."""
+    """Parse `count` finite numbers from a text; error messages begin with `where`."""
     try:
         values = tuple(float(word) for word in text.split())
     except ValueError:
@@ -123,12 +120,12 @@ def read_numbers(text: str, count: int, where: str) -> tuple[float, ...]:
 
 
 def read_number(element: ElementTree.Element | None, key: str, where: str, default: str = "") -> float:
-    """Return an element's attribute as a number, `default` if it is missing; error messages begin with `where`."""
+    """Parse an element's attribute as a number; error messages begin with `where`."""
     return read_numbers(attribute(element, key, default), 1, where)[0]
 
 
 def read_inertia(element: ElementTree.Element, where: str) -> Array:
-    """Return the inertia (3, 3) [kg m2] of an <inertia>; products are 0 where they are missing."""
+    """Return the inertia tensor (3, 3) [kg m2] of an <inertia>; missing products of inertia are 0."""
     rows = (("ixx", "ixy", "ixz"), ("ixy", "iyy", "iyz"), ("ixz", "iyz", "izz"))
     moments = ("ixx", "iyy", "izz")
     return np.array(
@@ -137,7 +134,7 @@ def read_inertia(element: ElementTree.Element, where: str) -> Array:
 
 
 def read_frame(element: ElementTree.Element | None, where: str) -> Array:
-    """Return the frame (4, 4) of an <origin>, or of none; roll, pitch and yaw are about fixed axes."""
+    """Return the frame (4, 4) of an <origin>, the identity without one; roll, pitch and yaw are about fixed axes."""
     frame = np.eye(4)
     frame[:3, :3] = rpy_matrix(*read_numbers(attribute(element, "rpy", "0 0 0"), 3, f"{where}: rpy"))
     frame[:3, 3] = read_numbers(attribute(element, "xyz", "0 0 0"), 3, f"{where}: origin")
@@ -155,7 +152,7 @@ def _read_link(element: ElementTree.Element, name: str, colors: Mapping[str, Col
         raise SurefootError(f"{where}: mass is {mass:g}; it must be over 0 kg")
     if not (min(xx, yy, zz) > 0 and 2 * max(xx, yy, zz) <= (xx + yy + zz) * (1 + 1e-9)):
         raise SurefootError(
-            f"{where}: inertia ({xx:g}, {yy:g}, {zz:g}) is not a rigid body's; "
+            f"{where}: inertia ({xx:g}, {yy:g}, {zz:g}) is impossible for a rigid body; "
             "each must be over 0 and none over the sum of the other two"
         )
     frame = read_frame(element.find("inertial/origin"), f"{where}: inertial")
@@ -167,7 +164,7 @@ def _read_link(element: ElementTree.Element, name: str, colors: Mapping[str, Col
 
 
 def read_shape(element: ElementTree.Element, link: str, colors: Mapping[str, Color], where: str) -> Shape | None:
-    """Return a <visual> or <collision>; None for a mesh and other kinds."""
+    """Parse a <visual> or <collision>; return None for a mesh or another kind of shape."""
     for kind in ("box", "cylinder", "sphere"):
         if (solid := element.find(f"geometry/{kind}")) is not None:
             break
@@ -186,19 +183,19 @@ def read_shape(element: ElementTree.Element, link: str, colors: Mapping[str, Col
 
 
 def read_material(element: ElementTree.Element, colors: Mapping[str, Color], where: str) -> Color:
-    """Return the color of the material of a <visual>, which may name one of the `colors`; grey without one."""
+    """Return the color of a <visual>: of its own material, of a material in `colors` that it names, or else grey."""
     material = element.find("material")
     color = None if material is None else _read_color(material, where) or colors.get(material.get("name", ""))
     return color or GREY
 
 
 def _read_color(material: ElementTree.Element, where: str) -> Color | None:
-    """Return the color of a material; None if it only names one."""
+    """Return the color of a material, or None if it only refers to another by name."""
     color = material.find("color")
     if color is None:
         return None
     rgba = read_numbers(attribute(color, "rgba", "0.5 0.5 0.5 1"), 4, f"{where}: rgba")
-    red, green, blue, _ = (round(255 * min(max(share, 0.0), 1.0)) for share in rgba)
+    red, green, blue, _ = (round(255 * min(max(value, 0.0), 1.0)) for value in rgba)
     return red, green, blue
 
 
@@ -206,7 +203,7 @@ def _read_joint(element: ElementTree.Element, name: str, links: Collection[str],
     parent, child = attribute(element.find("parent"), "link"), attribute(element.find("child"), "link")
     for end in (parent, child):
         if end not in links:
-            raise SurefootError(f"{where} joins '{end}', not a link; {suggest(end, links)}")
+            raise SurefootError(f"{where} refers to '{end}', which is not a link; {suggest(end, links)}")
     kind, limits = attribute(element, "type"), None
     if kind not in KINDS:
         raise SurefootError(f"{where}: type is '{kind}'; {suggest(kind, KINDS)}")
@@ -226,13 +223,13 @@ def _read_joint(element: ElementTree.Element, name: str, links: Collection[str],
 
 
 def format_urdf(urdf: Urdf, name: str, *, principal: bool = False) -> str:
-    """Return a URDF as text, without colors.
+    """Format a URDF as text, without colors.
 
     Args:
         urdf: links and joints.
         name: name of the robot.
-        principal: whether to write each inertia as principal moments in a frame along the principal axes, since
-            readers differ in how they handle products of inertia, and all numbers so that they are read back the same.
+        principal: whether to write inertias as principal moments in a frame along the principal axes, because readers
+            treat products of inertia differently, and numbers with enough digits to be read back exactly.
     """
 
     def words(*values: float) -> str:

@@ -1,1 +1,1 @@
-"""Studies for science: searches, comparisons, tuned gaits, the paper's page. Only `cli` imports this package."""
+"""Studies: comparisons of many trainings, hyperparameter search and gait tuning. Only `cli` imports this package."""

@@ -1,4 +1,4 @@
-"""Groups of trained policies side by side: their figures with intervals over seeds, their differences, all tables."""
+"""Comparison of groups of trained policies: metrics with confidence intervals over seeds, differences, and tables."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from surefoot.evaluation.statistics import (
     MeanEstimate,
     crossed_interval,
     holm,
-    share_difference,
-    share_interval,
+    proportion_difference,
+    proportion_interval,
     t_interval,
     welch_interval,
 )
 from surefoot.files import atomic_write
 from surefoot.report.figures.learning import bin_curve, learning_curve
-from surefoot.studies.evaluations import EVALUATIONS, Result, ResultFigure, evaluation_names, find_gap, gap_from_result
+from surefoot.studies.evaluations import EVALUATIONS, Result, ResultMetric, evaluation_names, find_gap, gap_from_result
 from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import plain_rows, write_csv
 
-FAR = 3.0
-"""A run goes far over this [m]; the paper counts such runs among nine on the robot."""
+FAR_DISTANCE = 3.0
+"""Distance from which a run counts as far [m]; the paper reports how many of nine runs on the robot were."""
 CONTENTS = {
     "policies": "one row per trained policy",
     "groups": "one row per group and metric, with its interval",
@@ -45,7 +45,7 @@ CONTENTS = {
     "top_differences": "differences.csv for the best policies, metrics of the reality gap",
     "gaits": "one row per policy: gait, stride period [s] and duty factor",
 }
-"""What each table holds."""
+"""Description of each table."""
 _EPISODE_COLUMNS = (
     *("group", "seed", "evaluation", "world", "row", "value", "run", "return", "speed", "fell"),
     *("distance", "power", "steps", "balanced"),
@@ -54,32 +54,32 @@ _GAIT_COLUMNS = ("gait", "agree", "pattern", "reason", "stride", "duty")
 
 
 def late_gain(curve: pd.DataFrame) -> float:
-    """Return mean return in the last fifth of a training less that in the fifth before [m]; NaN without episodes."""
+    """Return the gain in mean return from the fourth to the last fifth of a training [m]; NaN without episodes."""
     before, last = bin_curve(curve, "return", np.array([0.6, 0.8, 1.0]) * curve.steps.max())
     return float(last - before)
 
 
 def policy_row(group: str, seed: int, log: Sequence[dict[str, Any]], results: dict[str, Result]) -> dict[str, Any]:
-    """Return the row of a trained policy in a comparison from the log of its training and its evaluations."""
-    figures = [EVALUATIONS[kind].read_figures(result) for kind, result in results.items()]
+    """Return the row of a trained policy in `Comparison.policies`, from its training log and its evaluations."""
+    metrics = [EVALUATIONS[kind].read_metrics(result) for kind, result in results.items()]
     gait = {name: results["gait"][name] for name in ("gait", "pattern")} if "gait" in results else {}
     row = {"group": group, "seed": seed, "steps": log[-1]["steps"], "training_seconds": round(log[-1]["seconds"], 1)}
-    row |= {"best_steps": None, **{name: value for part in figures for name, value in part.items()}, **gait}
+    row |= {"best_steps": None, **{name: value for part in metrics for name, value in part.items()}, **gait}
     curve = learning_curve(log)
     return row | {"late_gain": late_gain(curve), "results": results, "curve": curve, "policy": None}
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """The groups of a study side by side."""
+    """Comparison of the groups of a study."""
 
     study: StudyConfig
     policies: pd.DataFrame
-    """A trained policy a row: group, seed, control steps and duration of its training, steps after which it was best,
-    figures of its evaluations by name, gait and pattern. Besides, `results` of its evaluations by kind, the
-    `learning_curve` and the `policy` file; the file is needed for kind `gait`, which stores an episode beside it."""
+    """One row per trained policy: group, seed, control steps and duration of its training, steps after which it was
+    best, metrics of its evaluations by name, gait and pattern. In addition `results` of its evaluations by kind, its
+    learning `curve` and its `policy` file, next to which the evaluation `gait` stores an episode."""
     missing: tuple[str, ...] = ()
-    """Names of the study's trainings that are not in it."""
+    """Names of the study's trainings that are missing in the comparison."""
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -88,65 +88,69 @@ class Comparison:
 
     @property
     def gap_kind(self) -> str:
-        """The kind that measures the reality gap; empty if there is none."""
+        """Kind of evaluation that measures the reality gap; empty if there is none."""
         return find_gap(self.kinds)
 
     @property
-    def figures(self) -> tuple[ResultFigure, ...]:
-        """The numbers that are compared."""
-        return tuple(figure for kind in self.kinds for figure in EVALUATIONS[kind].figures)
+    def metrics(self) -> tuple[ResultMetric, ...]:
+        """Metrics that are compared."""
+        return tuple(metric for kind in self.kinds for metric in EVALUATIONS[kind].metrics)
 
     @property
-    def primary(self) -> ResultFigure:
-        """The figure that the comparisons are about."""
-        return next(figure for figure in self.figures if figure.name == self.study.primary)
+    def primary(self) -> ResultMetric:
+        """Primary metric of the study."""
+        return next(metric for metric in self.metrics if metric.name == self.study.primary)
 
     @property
     def groups(self) -> list[str]:
         """Names of the groups that have policies."""
         return list(self.policies.group.unique())
 
-    def of_group(self, group: str) -> pd.DataFrame:
+    def select_group(self, group: str) -> pd.DataFrame:
         """Return the policies of a group."""
         return self.policies[self.policies.group == group]
 
     def best(self) -> Comparison:
-        """Return the comparison with the `top` policies of each group: the highest return in their own simulator first.
+        """Return the comparison of the `top` policies of each group, by nominal return in the training simulator.
 
-        They are selected by other episodes than those that measure the gap.
+        The episodes that select them are independent of those that measure the gap.
         """
         ranked = self.policies.sort_values("nominal_return", ascending=False, kind="stable")
         return replace(self, policies=pd.concat([ranked[ranked.group == g][: self.study.top] for g in self.groups]))
 
-    def interval(self, group: str, figure: ResultFigure) -> Interval:
-        """Return the mean of a figure over a group with its interval over seeds, and over robots where it has them."""
-        values = self._values(group, figure)
-        if figure.trials:
-            return share_interval(values / figure.whole, figure.trials).scale(figure.whole)
+    def interval(self, group: str, metric: ResultMetric) -> Interval:
+        """Return the mean of a metric over a group, with its interval over seeds and, if it has several, robots."""
+        values = self._values(group, metric)
+        if metric.trials:
+            return proportion_interval(values / metric.full_scale, metric.trials).scale(metric.full_scale)
         return crossed_interval(values) if values.ndim == 2 else t_interval(values)
 
-    def difference(self, group: str, base: str, figure: ResultFigure) -> Interval:
-        """Return the mean of a figure over a group less that over another with its interval."""
-        if figure.trials:
-            return share_difference(self.interval(group, figure), self.interval(base, figure))
-        values, others = self._values(group, figure), self._values(base, figure)
+    def difference(self, group: str, base: str, metric: ResultMetric) -> Interval:
+        """Return the difference of a metric's means, `group` minus `base`, with its interval."""
+        if metric.trials:
+            return proportion_difference(self.interval(group, metric), self.interval(base, metric))
+        values, others = self._values(group, metric), self._values(base, metric)
         return crossed_interval(values, others) if values.ndim == 2 else welch_interval(values, others)
 
-    def _values(self, group: str, figure: ResultFigure) -> Array:
-        """Return a figure of each policy of a group (P,), or of each of its runs (P, R)."""
-        kind = next(kind for kind in self.kinds if figure in EVALUATIONS[kind].figures)
+    def _values(self, group: str, metric: ResultMetric) -> Array:
+        """Return a metric of each policy of a group (P,), or of each of its runs (P, R)."""
+        kind = next(kind for kind in self.kinds if metric in EVALUATIONS[kind].metrics)
         read = EVALUATIONS[kind].read_runs
-        return np.array([read(results[kind])[figure.name] for results in self.of_group(group).results])
+        return np.array([read(results[kind])[metric.name] for results in self.select_group(group).results])
 
     def sensitivities(self, group: str) -> list[Sensitivity]:
-        """Return the results of each policy of a group in test worlds."""
-        rows = self.of_group(group).itertuples()
+        """Return the sensitivity of each policy of a group."""
+        rows = self.select_group(group).itertuples()
         return [Sensitivity.from_mapping(row.results["sensitivity"], self._name(row)) for row in rows]
 
     def gap(self, group: str) -> PolicyGap:
-        """Return the runs of all policies of a group at home, away and, last, at home as described."""
+        """Return the runs of all policies of a group: in the training simulator, in the target world, and as described.
+
+        "As described" is the training simulator's engine with the robot of the data sheet.
+        """
         parts = [
-            gap_from_result(row.results[self.gap_kind], self._name(row)) for row in self.of_group(group).itertuples()
+            gap_from_result(row.results[self.gap_kind], self._name(row))
+            for row in self.select_group(group).itertuples()
         ]
         return PolicyGap.pooled(self.study.label(group), parts)
 
@@ -154,37 +158,37 @@ class Comparison:
         return f"{self.study.label(row.group)}, seed {row.seed}"
 
     def present_pairs(self) -> list[tuple[str, str]]:
-        """Return the pairs of which both groups have policies."""
+        """Return the pairs in which both groups have policies."""
         return [pair for pair in self.study.pairs if set(pair) <= set(self.groups)]
 
     def sets(self) -> dict[str, list[str]]:
-        """Return the groups of each set of bars, and those in no set as `others`; all as `groups` without sets."""
+        """Return the groups of each set of bars, and all other groups as `others`; without sets, all as `groups`."""
         bars = {name: set(groups) for name, groups in self.study.bars.items()}
         bars["others" if bars else "groups"] = set(self.groups).difference(*bars.values())
         sets = {name: [group for group in self.groups if group in members] for name, members in bars.items()}
         return {name: groups for name, groups in sets.items() if groups}
 
     def finding(self, names: Iterable[str]) -> str:
-        """Return the published results on the same groups; empty if there are none."""
+        """Return the published findings about the same groups; empty if there are none."""
         return " ".join(one.text for one in self.study.findings if set(one.groups) == set(names))
 
 
 def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
-    """Return the tables of a study by name; those on test worlds and gaps only where the study has them."""
+    """Return the tables of a study by name, see `CONTENTS`, as far as the study has the evaluations for them."""
     groups, policies = comparison.groups, comparison.policies
     tables: dict[str, Any] = {
         "policies": policies.drop(columns=["results", "curve", "policy"]),
         "groups": [
-            {"group": group, "label": comparison.study.label(group), "figure": figure, "unit": unit}
-            | {"seeds": len(comparison.of_group(group)), "mean": interval.mean}
+            {"group": group, "label": comparison.study.label(group), "figure": metric, "unit": unit}
+            | {"seeds": len(comparison.select_group(group)), "mean": interval.mean}
             | {"low": interval.low, "high": interval.high}
             for group in groups
-            for figure, unit, interval in [
-                *((one.name, one.unit, comparison.interval(group, one)) for one in comparison.figures),
-                ("late_gain", "m", t_interval(comparison.of_group(group).late_gain)),
+            for metric, unit, interval in [
+                *((one.name, one.unit, comparison.interval(group, one)) for one in comparison.metrics),
+                ("late_gain", "m", t_interval(comparison.select_group(group).late_gain)),
             ]
         ],
-        "differences": _differences(comparison, comparison.figures),
+        "differences": _differences(comparison, comparison.metrics),
         "episodes": _episodes(policies),
     }
     if "sensitivity" in comparison.kinds:
@@ -197,7 +201,7 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
         tables["gap_groups"] = [
             row for group in groups for which, part in parts.items() for row in _gap_rows(which, group, part)
         ]
-        tables["top_differences"] = _differences(best, EVALUATIONS[comparison.gap_kind].figures)
+        tables["top_differences"] = _differences(best, EVALUATIONS[comparison.gap_kind].metrics)
     if "gait" in comparison.kinds:
         tables["gaits"] = [
             {"group": row.group, "seed": row.seed} | {name: row.results["gait"][name] for name in _GAIT_COLUMNS}
@@ -206,22 +210,22 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
     return {name: pd.DataFrame(table) for name, table in tables.items()}
 
 
-def _differences(comparison: Comparison, figures: Sequence[ResultFigure]) -> pd.DataFrame:
-    """Return a row for each pair and figure; p values of a figure are adjusted for the number of pairs."""
+def _differences(comparison: Comparison, metrics: Sequence[ResultMetric]) -> pd.DataFrame:
+    """Return one row per pair and metric; a metric's p values are adjusted for the number of pairs."""
     rows = [
-        {"group": other, "against": base, "figure": figure.name, "unit": figure.unit}
+        {"group": other, "against": base, "figure": metric.name, "unit": metric.unit}
         | interval.columns("difference")
         | {"p": interval.p}
         for base, other in comparison.present_pairs()
-        for figure in figures
-        for interval in [comparison.difference(other, base, figure)]
+        for metric in metrics
+        for interval in [comparison.difference(other, base, metric)]
     ]
     table = pd.DataFrame(rows)
     return table.assign(p_holm=table.groupby("figure").p.transform(holm)) if rows else table
 
 
 def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
-    """Return the tables that `write_tables` wrote into a folder, by name."""
+    """Return the tables in a folder of `write_tables`, by name."""
     return {name: pd.read_csv(folder / f"{name}.csv") for name in CONTENTS if (folder / f"{name}.csv").is_file()}
 
 
@@ -232,7 +236,8 @@ def write_tables(comparison: Comparison, tables: Mapping[str, pd.DataFrame], fol
         "study": comparison.study.name,
         "confidence": CONFIDENCE,
         "evaluations": {
-            name: {"what": EVALUATIONS[name].what, "settings": EVALUATIONS[name].settings} for name in comparison.kinds
+            name: {"what": EVALUATIONS[name].description, "settings": EVALUATIONS[name].settings}
+            for name in comparison.kinds
         },
         "missing": list(comparison.missing),
         **{name: plain_rows(table) for name, table in tables.items() if name != "episodes"},
@@ -242,7 +247,7 @@ def write_tables(comparison: Comparison, tables: Mapping[str, pd.DataFrame], fol
 
 
 def _episodes(policies: pd.DataFrame) -> pd.DataFrame:
-    """Return a row for each episode; kind `gait` measures none."""
+    """Return one row per episode; the evaluation `gait` has none."""
     tables = []
     for policy in policies.itertuples():
         for kind, result in policy.results.items():
@@ -254,15 +259,15 @@ def _episodes(policies: pd.DataFrame) -> pd.DataFrame:
 
 
 def _gap_rows(which: str, group: str, comparison: Comparison) -> list[dict[str, Any]]:
-    """Return the rows of a group's gap, a row a world: home, away, and home as described."""
-    gap, seeds = comparison.gap(group), " ".join(map(str, comparison.of_group(group).seed))
+    """Return the gap of a group, one row per world: training simulator, target world, simulator as described."""
+    gap, seeds = comparison.gap(group), " ".join(map(str, comparison.select_group(group).seed))
     rows = []
     for number, world in enumerate(gap.worlds):
         runs, balanced = gap.in_world(world), gap.table(world, "balanced")
         row = {"group": group, "label": gap.name, "policies": which, "seeds": seeds, **summarize_runs(runs)}
         row |= crossed_interval(gap.table(world, "return")).columns("return")
-        row |= share_interval(balanced, balanced.shape[1]).columns("balanced_share")
-        row |= {"balanced": int(balanced.sum()), "far": int((runs.distance > FAR).sum())}
+        row |= proportion_interval(balanced, balanced.shape[1]).columns("balanced_share")
+        row |= {"balanced": int(balanced.sum()), "far": int((runs.distance > FAR_DISTANCE).sum())}
         row |= {"least_distance": float(runs.distance.min())}
         over_runs = gap.gap_over_runs(world) if number else MeanEstimate()
         interval = crossed_interval(gap.gaps(world)) if number else Interval(math.nan)

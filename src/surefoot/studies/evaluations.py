@@ -1,4 +1,4 @@
-"""The evaluations that a study's policies go through, the figures that they compute, and the cache of their results."""
+"""Evaluations of a study's policies, their metrics, and the cache of their results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError, choices, suggest
-from surefoot.evaluation.conditions import away_task, home_task
+from surefoot.evaluation.conditions import data_sheet_task, undisturbed_task
 from surefoot.evaluation.footfalls import analyze_footfalls
 from surefoot.evaluation.gap import PolicyGap
 from surefoot.evaluation.recorded import save_runs
@@ -33,42 +33,42 @@ from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import WORLDS, find_world
 
-SAME_NUMBERS_SINCE = "0.6.0"
-"""Version since which evaluations give the same numbers; kept results of an earlier one are computed again."""
+RESULTS_VALID_SINCE = "0.6.0"
+"""Version since which evaluations give the same numbers; cached results of earlier versions are computed again."""
 SEED = 1
 GAP_SEED = 2
-"""Runs of a gap are independent of those that policies are selected by."""
+"""Seed of the reality gap's runs, which are independent of the runs by which policies are selected."""
 Result = dict[str, Any]
-"""Result of an evaluation, as JSON holds it."""
+"""Result of an evaluation, for JSON."""
 Traces = dict[str, list[EpisodeTrace]]
 """Episodes to store, by the name of their world."""
 
 
 @dataclass(frozen=True)
-class ResultFigure:
-    """A number that policies are compared by."""
+class ResultMetric:
+    """Metric by which policies are compared."""
 
     name: str
     title: str
     unit: str
     digits: int
     trials: int = 0
-    """Episodes of a policy that a share counts; 0: it is no share."""
+    """Number of a policy's episodes, if the metric is a proportion of them; otherwise 0."""
 
     @property
-    def whole(self) -> float:
-        """Number that stands for a share of one."""
+    def full_scale(self) -> float:
+        """Value of the metric for a proportion of 1."""
         return 100.0 if self.unit == "%" else float(self.trials)
 
     @property
     def heading(self) -> str:
-        """Title and unit, as the head of a column."""
+        """Title and unit, for the heading of a column."""
         return with_unit(self.title, self.unit)
 
 
 @dataclass(frozen=True)
 class EvaluationRun:
-    """One evaluation of a policy."""
+    """Evaluation of one policy."""
 
     policy: PolicyRuntime
     task: TaskConfig
@@ -77,7 +77,7 @@ class EvaluationRun:
 
     @classmethod
     def load(cls, policy: Path, settings: dict[str, Any], threads: int = 0) -> EvaluationRun:
-        """Return an evaluation of a policy file on the policy's own task and robot."""
+        """Return the evaluation of a policy file on the policy's own task and robot."""
         runtime = PolicyRuntime.load(policy)
         return cls(runtime, task_from_contract(runtime.contract, runtime.load_robot()), settings, threads)
 
@@ -91,37 +91,37 @@ class EvaluationRun:
 class EvaluationKind:
     """A kind of evaluation of a policy."""
 
-    what: str
+    description: str
     settings: dict[str, Any]
-    """Everything besides the policy that the result depends on."""
+    """Everything that the result depends on, except the policy."""
     run: Callable[[EvaluationRun], tuple[Result, Traces]]
     read: Callable[[Result], tuple[ArrayLike, ...]]
-    """Returns the figures of a result; arrays hold a number for each run, where run k of every policy is on robot k."""
-    figures: tuple[ResultFigure, ...]
+    """Computes the metrics of a result. Arrays have one value per run, where run k of every policy is on robot k."""
+    metrics: tuple[ResultMetric, ...]
 
     @property
     def world_names(self) -> tuple[str, ...]:
-        """Names of the worlds that it runs in."""
+        """Names of the worlds of its runs."""
         return tuple(self.settings[key] for key in ("world", "home", "away") if key in self.settings)
 
     def read_runs(self, result: Result) -> dict[str, Array]:
-        """Return the figures of a result by name, each as `read` gives it."""
-        names = [figure.name for figure in self.figures]
+        """Return the metrics of a result by name, with one value per run if `read` returns an array."""
+        names = [metric.name for metric in self.metrics]
         return {name: np.asarray(values, np.float64) for name, values in zip(names, self.read(result), strict=True)}
 
-    def read_figures(self, result: Result) -> dict[str, float]:
-        """Return the figures of a result by name."""
+    def read_metrics(self, result: Result) -> dict[str, float]:
+        """Return the metrics of a result by name, averaged over runs."""
         return {name: float(values.mean()) for name, values in self.read_runs(result).items()}
 
 
 def _run_episodes(run: EvaluationRun) -> tuple[Result, Traces]:
-    """Run whole episodes without pushes, each with parameters drawn from a table of ranges.
+    """Run episodes without pushes, each with random physical parameters from a table of ranges.
 
-    Actuator and nominal parameters are those of the policy's task.
+    Actuator and nominal parameters are taken from the policy's task.
     """
-    task = replace(home_task(run.task), randomize=load_ranges(run.settings["ranges"], robot=run.task.robot))
+    task = replace(undisturbed_task(run.task), randomize=load_ranges(run.settings["ranges"], robot=run.task.robot))
     runs = measure_runs(run.run(task, run.settings["world"]))
-    # A diverged simulation counts as a fall: the policy has brought the robot to where the model does not hold.
+    # A diverged simulation counts as a fall: the policy drove the robot to a state in which the model is not valid.
     return {"runs": runs.assign(fell=~runs.balanced).to_dict("list")}, {}
 
 
@@ -133,21 +133,22 @@ def _run_test_worlds(run: EvaluationRun) -> tuple[Result, Traces]:
 
 
 def _run_gap(run: EvaluationRun) -> tuple[Result, Traces]:
-    """Run some episodes at home, and as many in another world, one on each of its robots.
+    """Run episodes in the training simulator, and as many in the target world, one on each of its robots.
 
-    As many again in the engine of home on the robot of the data sheet separate the effect of motors and delays.
+    The same number in the training simulator with the robot of the data sheet separates the effect of motors and
+    delays from the engine's.
     """
-    home, away, described = run.settings["home"], run.settings["away"], away_task(run.task)
-    traces = {home: run.run(home_task(run.task), home), away: run.run(described, away)}
+    home, away, described = run.settings["home"], run.settings["away"], data_sheet_task(run.task)
+    traces = {home: run.run(undisturbed_task(run.task), home), away: run.run(described, away)}
     traces[f"{home}-described"] = run.run(described, home)
     runs = pd.concat([measure_runs(part, name) for name, part in traces.items()])
     return {"runs": runs.to_dict("list")}, traces
 
 
 def _name_gait(run: EvaluationRun) -> tuple[Result, Traces]:
-    """Name the gait of some episodes at home; store the first episode with the most frequent name."""
+    """Name the gait of episodes in the training simulator; store the first episode with the most frequent name."""
     world = run.settings["world"]
-    traces = run.run(home_task(run.task), world)
+    traces = run.run(undisturbed_task(run.task), world)
     feet = [analyze_footfalls(trace) for trace in traces]
     gaits = [one.gait for one in feet]
     gait = Counter(gaits).most_common(1)[0][0]
@@ -164,13 +165,13 @@ def _name_gait(run: EvaluationRun) -> tuple[Result, Traces]:
 
 
 def load_gait_trace(policy: Path) -> EpisodeTrace:
-    """Return the episode that the evaluation `gait` of a policy file stored."""
+    """Return the episode that the evaluation `gait` stored for a policy file."""
     world = EVALUATIONS["gait"].settings["world"]
     return EpisodeTrace.load(next((_result_path(policy, "gait").with_suffix("") / world).glob("*.npz")))
 
 
 def gap_from_result(result: Result, name: str) -> PolicyGap:
-    """Return the runs of a result at home, away, and at home on the robot of the data sheet."""
+    """Return the runs of a result of `_run_gap`."""
     return PolicyGap.from_runs(name, [pd.DataFrame(result["runs"])])
 
 
@@ -192,75 +193,79 @@ def _read_gap(result: Result) -> tuple[ArrayLike, ...]:
 
 
 def _gap_kind(away: str) -> EvaluationKind:
-    """Return the evaluation of the reality gap to a world of different robots."""
+    """Return the evaluation of the reality gap to a world with an ensemble of robots."""
     robots = len(WORLDS[away].seeds or ())
     return EvaluationKind(
-        f"a run on each of the {robots} robots of world {away}, and as many in the policy's own simulator and "
-        "there with the robot of the data sheet; none with pushes, each from a start of its own",
+        f"one run on each of the {robots} robots of world {away}, as many in the training simulator, and as many there "
+        "with the robot of the data sheet; all without pushes and from different starts",
         {"home": "mujoco", "away": away, "described": True, "episodes": robots, "seed": GAP_SEED},
         _run_gap,
         _read_gap,
         (
-            ResultFigure("gap_home", "return at home", "m", 2),
-            ResultFigure("gap_described", "return at home as described", "m", 2),
-            ResultFigure("gap_away", "return away", "m", 2),
-            ResultFigure("gap", "gap", "m", 2),
-            ResultFigure("gap_balanced", "balanced away", "%", 1, robots),
-            ResultFigure("gap_distance", "distance away", "m", 2),
-            ResultFigure("gap_speed", "speed away", "m/s", 3),
-            ResultFigure("gap_power", "power away", "W", 1),
+            ResultMetric("gap_home", "return in training simulator", "m", 2),
+            ResultMetric("gap_described", "return as described", "m", 2),
+            ResultMetric("gap_away", "return in target world", "m", 2),
+            ResultMetric("gap", "gap", "m", 2),
+            ResultMetric("gap_balanced", "balanced in target world", "%", 1, robots),
+            ResultMetric("gap_distance", "distance in target world", "m", 2),
+            ResultMetric("gap_speed", "speed in target world", "m/s", 3),
+            ResultMetric("gap_power", "power in target world", "W", 1),
         ),
     )
 
 
 EVALUATIONS: dict[str, EvaluationKind] = {
     "nominal": EvaluationKind(
-        "20 episodes in the nominal world of the policy's own simulator, without pushes",
+        "20 episodes in the training simulator with nominal parameters, without pushes",
         {"world": "mujoco", "episodes": 20, "seed": SEED, "ranges": "none"},
         _run_episodes,
         _read_runs,
         (
-            ResultFigure("nominal_speed", "speed, nominal", "m/s", 3),
-            ResultFigure("nominal_return", "return, nominal", "m", 2),
-            ResultFigure("nominal_falls", "falls, nominal", "%", 1, 20),
+            ResultMetric("nominal_speed", "speed, nominal", "m/s", 3),
+            ResultMetric("nominal_return", "return, nominal", "m", 2),
+            ResultMetric("nominal_falls", "falls, nominal", "%", 1, 20),
         ),
     ),
     "table1": EvaluationKind(
-        "100 episodes with every parameter of table I drawn at random, without pushes",
+        "100 episodes with all physical parameters random, in the paper's ranges (table I), without pushes",
         {"world": "mujoco", "episodes": 100, "seed": SEED, "ranges": "table1"},
         _run_episodes,
         lambda result: _read_runs(result)[::2],
         (
-            ResultFigure("table1_speed", "speed, table I drawn", "m/s", 3),
-            ResultFigure("table1_falls", "falls, table I drawn", "%", 1, 100),
+            ResultMetric("table1_speed", "speed, randomized", "m/s", 3),
+            ResultMetric("table1_falls", "falls, randomized", "%", 1, 100),
         ),
     ),
     "sensitivity": EvaluationKind(
-        "test worlds: one parameter of table I at a time takes 10 values, all else nominal; 4 episodes in each",
+        "test worlds: one parameter of table I at a time takes 10 values, all others nominal; 4 episodes in each",
         {"world": "mujoco", "values": 10, "episodes": 4, "seed": SEED, "ranges": "table1"},
         _run_test_worlds,
         _read_sensitivity,
         (
-            ResultFigure("sensitivity_mean", "mean return over test worlds", "m", 2),
-            ResultFigure("sensitivity_std", "standard deviation of return over test worlds", "m", 2),
-            ResultFigure("sensitivity_falls", "falls in test worlds", "%", 1, 400),
+            ResultMetric("sensitivity_mean", "mean return over test worlds", "m", 2),
+            ResultMetric("sensitivity_std", "standard deviation of return over test worlds", "m", 2),
+            ResultMetric("sensitivity_falls", "falls in test worlds", "%", 1, 400),
         ),
     ),
     "gap": _gap_kind("ensemble"),
     "gap_test": _gap_kind("ensemble-test"),
     "gait": EvaluationKind(
-        "names of the gait in 5 episodes in the nominal world of the policy's own simulator, without pushes",
+        "gait in 5 episodes in the training simulator with nominal parameters, without pushes",
         {"world": "mujoco", "episodes": 5, "seed": SEED},
         _name_gait,
         lambda result: (result["agree"],),
-        (ResultFigure("gait_agree", "episodes with the same gait", "of 5", 0, 5),),
+        (ResultMetric("gait_agree", "episodes with the same gait", "of 5", 0, 5),),
     ),
 }
-"""Evaluations by name; the first one is part of every study."""
+"""Evaluations by name; `nominal` is part of every study."""
 
 
 def evaluation_names(names: Iterable[str]) -> tuple[str, ...]:
-    """Return the evaluations of a study, the one that every study has first; refuse unknown names."""
+    """Return the names of a study's evaluations, `nominal` first.
+
+    Raises:
+        SurefootError: a name is unknown.
+    """
     for name in names:
         if name not in EVALUATIONS:
             raise SurefootError(f"evaluate: '{name}' is no kind of evaluation; {suggest(name, EVALUATIONS)}")
@@ -268,7 +273,11 @@ def evaluation_names(names: Iterable[str]) -> tuple[str, ...]:
 
 
 def find_gap(kinds: Iterable[str]) -> str:
-    """Return which of the evaluations measures the reality gap; empty if none does."""
+    """Return the evaluation that measures the reality gap; empty if none does.
+
+    Raises:
+        SurefootError: several do.
+    """
     gaps = [kind for kind in kinds if EVALUATIONS[kind].run is _run_gap]
     if len(gaps) > 1:
         raise SurefootError(f"evaluate: a study measures one reality gap; it has {choices(gaps)}")
@@ -276,9 +285,9 @@ def find_gap(kinds: Iterable[str]) -> str:
 
 
 def stored_result(policy: Path, name: str, kind: EvaluationKind | None = None) -> Result | None:
-    """Return the cached result of an evaluation of a policy file as it is now; None if there is none.
+    """Return the cached result of the evaluation `name` for the current content of a policy file, or None.
 
-    `kind` defaults to the one of `EVALUATIONS`.
+    `kind` defaults to `EVALUATIONS[name]`.
     """
     return _load(policy, name, _identity(policy, _settings(kind or EVALUATIONS[name])))
 
@@ -286,8 +295,8 @@ def stored_result(policy: Path, name: str, kind: EvaluationKind | None = None) -
 def evaluate(policy: Path, name: str, threads: int = 0, kind: EvaluationKind | None = None) -> Result:
     """Run the evaluation `name` on a policy file, or return its cached result.
 
-    `kind` defaults to the one of `EVALUATIONS`. Results are stored in `evaluations/` beside the file, and traces that
-    the evaluation keeps in `evaluations/NAME/WORLD/run_000.npz` and on.
+    `kind` defaults to `EVALUATIONS[name]`. Results are stored in `evaluations/` next to the file, and the evaluation's
+    traces in `evaluations/NAME/WORLD/run_000.npz`, `run_001.npz`, ...
     """
     kind = kind or EVALUATIONS[name]
 
@@ -302,13 +311,13 @@ def evaluate(policy: Path, name: str, threads: int = 0, kind: EvaluationKind | N
 
 
 def cached_result(policy: Path, name: str, settings: dict[str, Any], compute: Callable[[], Result]) -> Result:
-    """Return the result that is stored in `evaluations/` beside a policy file, or compute and store it.
+    """Return the result that is stored in `evaluations/` next to a policy file, or compute and store it.
 
     Args:
         policy: the policy file.
-        name: of the result.
-        settings: everything that the result depends on besides the policy and the version of surefoot.
-        compute: called if there is no result of the file as it is now.
+        name: name of the result.
+        settings: everything that the result depends on, except the policy and the version of surefoot.
+        compute: called if there is no result for the current content of the policy file.
     """
     identity = _identity(policy, settings)
     cached = _load(policy, name, identity)
@@ -333,7 +342,7 @@ def _result_path(policy: Path, name: str) -> Path:
 
 
 def _settings(kind: EvaluationKind) -> dict[str, Any]:
-    """Return the settings of an evaluation with the ranges themselves, not the name of their table."""
+    """Return the settings of an evaluation, with ranges instead of the name of their table."""
     settings = dict(kind.settings)
     if isinstance(settings.get("ranges"), str):
         settings["ranges"] = to_mapping(load_ranges(settings["ranges"]))
@@ -341,4 +350,4 @@ def _settings(kind: EvaluationKind) -> dict[str, Any]:
 
 
 def _identity(policy: Path, settings: dict[str, Any]) -> dict[str, Any]:
-    return {"surefoot": SAME_NUMBERS_SINCE, "policy": hashlib.sha256(policy.read_bytes()).hexdigest(), **settings}
+    return {"surefoot": RESULTS_VALID_SINCE, "policy": hashlib.sha256(policy.read_bytes()).hexdigest(), **settings}

@@ -1,4 +1,4 @@
-"""Robots that a study hides and identifies: physical parameters by seed, and motors of another family for some."""
+"""Hidden robots of a study, which are identified: random physical parameters by seed, some with other motors."""
 
 from __future__ import annotations
 
@@ -10,110 +10,116 @@ from surefoot.configuration import Seed, Within, read_toml, to_mapping
 from surefoot.errors import SurefootError, choices, suggest
 from surefoot.files import atomic_write
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.archive import SHEET, copy_robot
-from surefoot.robot.params import CONTROLLER, GROUPS, PARAMETERS
+from surefoot.robot.archive import DATA_SHEET, copy_robot
+from surefoot.robot.params import CONTROLLER_PARAMETERS, PARAMETER_GROUPS, PARAMETERS
 from surefoot.robot.params_file import ParamsFile, ParamValue, read_params
 from surefoot.robot.randomization import Ranges, check_ranges, draw_hidden
 
-OWN, OTHER = "own", "other"
-"""Motor families: the one of the data sheet, on which simulators that train are built, and another one."""
+DATA_SHEET_MOTORS, OTHER_MOTORS = "own", "other"
+"""Motor families: the data sheet's, which the training simulators model, and another one."""
 
 
 @dataclass(frozen=True)
 class OtherMotors:
-    """Motors that no simulator models in which policies train."""
+    """Motors that the training simulators do not model."""
 
     seeds: tuple[Seed, ...]
-    """The robots that have them."""
+    """Seeds of the robots that have these motors."""
     actuator: dict[str, Any]
-    """Keys of the data sheet's `[actuator]` in place of its own, such as the curve of torque over current."""
+    """Keys that replace those in the data sheet's `[actuator]`, such as the torque-current curve."""
     label: str = "motors of another family"
-    """What figures and tables call them."""
+    """Label in figures and tables."""
 
 
 @dataclass(frozen=True)
 class HiddenRobots:
-    """Robots that stand for reality in a study: nobody knows their parameters until they are identified."""
+    """Simulated robots that represent reality in a study; their parameters are hidden and must be identified."""
 
     seeds: tuple[Seed, ...]
-    """A robot for each."""
+    """One robot per seed."""
     ranges: Ranges
-    """Ranges that a robot's parameters are drawn from once; in a file also the name of a table."""
+    """Ranges from which each robot's parameters are drawn once; in a study file also the name of a table of ranges."""
     world: str = "bullet"
-    """Engine that simulates them."""
+    """Engine that simulates the robots."""
     starts: Annotated[int, Within(1, 1000)] = 10
-    """Runs of a policy on each of its robots, and as many in the policy's own simulator."""
+    """Number of a policy's runs on each robot, and in the training simulator."""
     other_motors: OtherMotors | None = None
     robot: str = ""
-    """Name or folder of the robots' description, by which they are identified; defaults to the study's."""
+    """Name or folder of the robot description on which the identification is based; defaults to the study's robot."""
 
     def __post_init__(self) -> None:
-        """Refuse seeds that do not fit together, and ranges that no robot can have."""
+        """Check the seeds and ranges.
+
+        Raises:
+            SurefootError: seeds repeat, other motors name a seed that is no robot, or no robot can have the ranges.
+        """
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise SurefootError(f"robots.seeds is {list(self.seeds)}; it takes 1 or more, none twice")
+            raise SurefootError(f"robots.seeds is {list(self.seeds)}; it needs 1 or more, all different")
         for seed in () if self.other_motors is None else self.other_motors.seeds:
             if seed not in self.seeds:
-                raise SurefootError(f"robots.other_motors.seeds: {seed} is no robot; {suggest(seed, self.seeds)}")
+                raise SurefootError(
+                    f"robots.other_motors.seeds: {seed} is not a robot's seed; {suggest(seed, self.seeds)}"
+                )
         check_ranges(self.ranges)
 
     def family(self, seed: int) -> str:
-        """Return the family of a robot's motors, `OWN` or `OTHER`."""
-        return OTHER if self.other_motors is not None and seed in self.other_motors.seeds else OWN
+        """Return the family of a robot's motors, `DATA_SHEET_MOTORS` or `OTHER_MOTORS`."""
+        return OTHER_MOTORS if self.other_motors is not None and seed in self.other_motors.seeds else DATA_SHEET_MOTORS
 
     def params(self, seed: int, folder: Path) -> PhysicalParams:
-        """Return a robot's true physical parameters, one row; `folder` is that of `description`."""
+        """Return a robot's true physical parameters, one row; `folder` as in `description`."""
         return draw_hidden(RobotDescription.load(self.description(seed, folder)), self.ranges, seed)
 
     def description(self, seed: int, folder: Path) -> str:
-        """Return the true description of a robot: the study's, or the one with other motors, written into a folder.
+        """Return the true robot description: the study's, or a copy with other motors, which is written into `folder`.
 
         Raises:
-            SurefootError: motors that no sheet may state.
+            SurefootError: the other motors are invalid in a data sheet.
         """
-        if self.other_motors is None or self.family(seed) == OWN:
+        if self.other_motors is None or self.family(seed) == DATA_SHEET_MOTORS:
             return self.robot
         import tomli_w
 
         source = RobotDescription.load(self.robot).folder
-        data, _ = read_toml(source / SHEET)
+        data, _ = read_toml(source / DATA_SHEET)
         text = tomli_w.dumps({**data, "actuator": {**data["actuator"], **self.other_motors.actuator}})
-        if not (folder / SHEET).is_file() or (folder / SHEET).read_text(encoding="utf-8") != text:
+        if not (folder / DATA_SHEET).is_file() or (folder / DATA_SHEET).read_text(encoding="utf-8") != text:
             copy_robot(source, folder)
-            atomic_write(folder / SHEET, text)
-        RobotDescription.load(folder)  # refuses motors that do not fit
+            atomic_write(folder / DATA_SHEET, text)
+        RobotDescription.load(folder)  # raises if the motors are invalid
         return str(folder.absolute())
 
     def settings(self) -> dict[str, Any]:
-        """Return everything that the robots' physics depends on, as JSON holds it."""
+        """Return everything on which the robots' physics depend, for JSON."""
         data = to_mapping(self)
         return {name: data[name] for name in ("ranges", "world", "other_motors", "robot")}
 
 
 def check_identified(names: tuple[str, ...], where: str) -> None:
-    """Refuse names that are neither physical parameters nor groups of them, and those that a policy sets.
+    """Check that names are physical parameters, or groups of them, that a training can take from a file.
 
     Raises:
-        SurefootError: with the name and the choices.
+        SurefootError: a name is unknown, or the policy's contract sets the parameter.
     """
     for name in names:
-        if name in CONTROLLER:
+        if name in CONTROLLER_PARAMETERS:
             raise SurefootError(
                 f"{where}: {name} belongs to the controller, whose contract states it; it is not taken from a file"
             )
-        if name not in GROUPS and name not in PARAMETERS:
+        if name not in PARAMETER_GROUPS and name not in PARAMETERS:
             raise SurefootError(
-                f"{where}: '{name}' is neither a physical parameter nor a group of them ({choices(GROUPS)}); "
-                f"{suggest(name, [*GROUPS, *PARAMETERS])}"
+                f"{where}: '{name}' is neither a physical parameter nor a group of them ({choices(PARAMETER_GROUPS)}); "
+                f"{suggest(name, [*PARAMETER_GROUPS, *PARAMETERS])}"
             )
 
 
 def robot_name(seed: int) -> str:
-    """Return the name of a hidden robot, as folders and tables have it."""
+    """Return the name of a hidden robot in folders and tables."""
     return f"robot_{seed}"
 
 
 def other_motors_folder(work: Path) -> Path:
-    """Return the folder with the description of robots with other motors in that of a study's identifications."""
+    """Return the folder for the robot description with other motors, within the folder of identifications."""
     return work / "other_motors"
 
 
@@ -123,16 +129,16 @@ def robot_file(folder: Path, seed: int) -> Path:
 
 
 def read_identified(folder: Path | None, seed: int, robot: str) -> ParamsFile | None:
-    """Return a robot's identified parameters; None before it is identified."""
+    """Return a robot's identified parameters, or None if it is not identified yet."""
     if folder is None or not (path := robot_file(folder, seed)).is_file():
         return None
     return read_params(path, RobotDescription.load(robot))
 
 
-def take_identified(file: ParamsFile, names: tuple[str, ...]) -> dict[str, ParamValue]:
-    """Return the values of a file that a group takes, by parameter; never the controller's."""
+def select_identified(file: ParamsFile, names: tuple[str, ...]) -> dict[str, ParamValue]:
+    """Return the identified values that a group uses, by parameter; the controller's parameters are left out."""
     return {
         name: value
         for name, value in file.values.items()
-        if name not in CONTROLLER and (name in names or PARAMETERS[name].group in names)
+        if name not in CONTROLLER_PARAMETERS and (name in names or PARAMETERS[name].group in names)
     }

@@ -1,9 +1,9 @@
-"""Questions that a study asks of groups, with robots in pairs, and their answers: claims and families of comparisons.
+"""Questions of a study about differences between groups, paired over robots, and their answers.
 
-A question with an expected direction is a claim that all its comparisons make together. By the intersection-union test
-each may be tested at the full level, and the p value of the claim is their greatest (Berger 1982). A question without
-one is a family of comparisons, whose p values are corrected for their number by Holm. Questions are families of their
-own: none is corrected for the others.
+A question with an expected direction is a claim, which holds if it holds in all its comparisons. By the
+intersection-union test each comparison may be tested at the full level, and the claim's p value is their maximum
+(Berger 1982). A question without an expected direction is a family of comparisons, whose p values are corrected by
+Holm's method. There is no correction across questions.
 """
 
 from __future__ import annotations
@@ -18,37 +18,37 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import Positive
 from surefoot.errors import SurefootError, suggest
-from surefoot.evaluation.statistics import CONFIDENCE, Interval, equivalence_p, holm, t_interval
+from surefoot.evaluation.statistics import CONFIDENCE, Interval, equivalence_p_value, holm, t_interval
 
-FIGURES = {
-    "home": ("return at home", "m", 2),
+METRICS = {
+    "home": ("return in training simulator", "m", 2),
     "on_robot": ("return on the robot", "m", 2),
     "gap": ("gap", "m", 2),
     "falls": ("falls on the robot", "%", 1),
     "far": ("runs over 3 m on the robot", "%", 1),
 }
-"""Numbers of a group on a robot: title, unit and digits."""
+"""Metrics of a group on a robot: title, unit and decimals."""
 LEVEL = 1 - CONFIDENCE
 
 
 @dataclass(frozen=True)
 class Question:
-    """What a study asks of its groups."""
+    """Question of a study about its groups."""
 
     figure: Literal["home", "on_robot", "gap", "falls", "far"]
-    """The number that is compared, a mean over seeds and starts for each robot."""
+    """Metric that is compared, a mean over seeds and starts for each robot."""
     text: str
-    """The claim or the question, in words."""
+    """The claim or question in words."""
     pairs: tuple[tuple[str, str], ...] = ()
-    """Pairs of groups: the second less the first, paired over robots."""
+    """Pairs of groups; a difference is the second minus the first, paired over robots."""
     expect: Literal["", "less", "more"] = ""
-    """What the claim says of every difference; empty: there is no claim, and Holm's correction holds for the pairs."""
+    """Claimed sign of every difference. Empty for a question without a claim, whose p values are corrected by Holm."""
     group: str = ""
-    """The group whose figure is claimed to lie within +-`within`, in place of pairs."""
+    """Instead of pairs: a group whose metric is claimed to be within +-`within`."""
     within: Positive | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a question that asks nothing, or two things."""
+        """Check that there are either pairs, or a group with a bound."""
         if bool(self.pairs) == bool(self.group) or bool(self.group) != (self.within is not None):
             raise SurefootError(
                 f"question '{self.text}' must have either pairs of groups, or a group and the bound within"
@@ -56,16 +56,20 @@ class Question:
 
     @property
     def is_claim(self) -> bool:
-        """Whether it claims something."""
+        """Whether the question is a claim."""
         return bool(self.expect or self.group)
 
     @property
     def groups(self) -> tuple[str, ...]:
-        """The groups that it is about."""
+        """Groups in the question."""
         return (self.group,) if self.group else tuple(dict.fromkeys(name for pair in self.pairs for name in pair))
 
     def check(self, groups: Sequence[str]) -> None:
-        """Refuse groups that a study does not have."""
+        """Check that the study has the question's groups.
+
+        Raises:
+            SurefootError: it lacks one.
+        """
         for name in self.groups:
             if name not in groups:
                 raise SurefootError(f"'{name}' is no group of the study; {suggest(name, groups)}")
@@ -77,15 +81,15 @@ class ComparedPair:
 
     group: str
     against: str
-    """Empty for a group alone."""
+    """Empty for a single group."""
     interval: Interval
-    """Of 95 %; of 90 % for a claim of equivalence, which two one-sided tests at 5 % make."""
+    """95 % interval; 90 % for a claim of equivalence, which is two one-sided tests at 5 %."""
     p: float
-    """Of its part of the claim, or two-sided where there is none."""
+    """p value of this part of the claim; two-sided for a question without a claim."""
     p_holm: float = math.nan
     robots: int = 0
     left_out: str = ""
-    """Why it is no part of the claim; empty if it is."""
+    """Reason that the comparison is not part of the claim; otherwise empty."""
 
 
 @dataclass(frozen=True)
@@ -96,53 +100,53 @@ class Answer:
     comparisons: tuple[ComparedPair, ...]
 
     @property
-    def counted(self) -> list[ComparedPair]:
+    def tested(self) -> list[ComparedPair]:
         """Comparisons that are part of the claim."""
         return [one for one in self.comparisons if not one.left_out]
 
     @property
     def p(self) -> float:
-        """The greatest p value of the claim's parts; NaN without a claim, and where no part is left."""
-        values = [one.p for one in self.counted]
+        """Maximum p value of the claim's parts; NaN without a claim or parts."""
+        values = [one.p for one in self.tested]
         return float(np.max(values)) if self.question.is_claim and values else math.nan
 
     @property
     def verdict(self) -> str:
-        """What came out of the claim; empty without one."""
+        """Result of the claim; empty without one."""
         if not self.question.is_claim:
             return ""
         if math.isnan(self.p):
             return "not tested"
-        held = "holds" if self.p < LEVEL else "not shown"
-        count = len(self.comparisons) - len(self.counted)
-        return f"{held}, without {count} of {len(self.comparisons)} comparisons" if count else held
+        result = "holds" if self.p < LEVEL else "not significant"
+        count = len(self.comparisons) - len(self.tested)
+        return f"{result}, without {count} of {len(self.comparisons)} comparisons" if count else result
 
 
 Values = Mapping[str, Mapping[int, float]]
-"""A figure of each group by robot."""
+"""A metric of each group by robot."""
 
 
 def answer(question: Question, values: Values, not_learned: Mapping[str, str]) -> Answer:
     """Return the answer to a question.
 
     Args:
-        question: the question; its groups without values are left out.
-        values: its figure, by group and robot.
-        not_learned: groups that did not learn, with the reason; they leave claims on the gap.
+        question: the question; groups without values are left out.
+        values: the question's metric, by group and robot.
+        not_learned: groups that did not learn, with the reason; they are excluded from claims about the gap.
     """
-    leaves = not_learned if question.figure == "gap" and question.is_claim else {}
+    excluded = not_learned if question.figure == "gap" and question.is_claim else {}
     if question.within is not None:
         table = values.get(question.group, {})
         numbers = np.array(list(table.values()))
         interval = t_interval(numbers, 1 - 2 * LEVEL)
-        reason = leaves.get(question.group, "") or ("" if len(numbers) else "no results")
-        p = equivalence_p(numbers, question.within)
+        reason = excluded.get(question.group, "") or ("" if len(numbers) else "no results")
+        p = equivalence_p_value(numbers, question.within)
         return Answer(question, (ComparedPair(question.group, "", interval, p, robots=len(numbers), left_out=reason),))
     comparisons = []
     for against, group in question.pairs:
         differences = _paired(values, group, against)
         interval = t_interval(differences)
-        reason = leaves.get(group) or leaves.get(against) or ("" if len(differences) else "no results")
+        reason = excluded.get(group) or excluded.get(against) or ("" if len(differences) else "no results")
         p = _p_of_claim(interval, question.expect) if question.expect else interval.p
         comparisons.append(ComparedPair(group, against, interval, p, robots=len(differences), left_out=reason))
     if not question.is_claim:
@@ -152,12 +156,12 @@ def answer(question: Question, values: Values, not_learned: Mapping[str, str]) -
 
 
 def _paired(values: Values, group: str, against: str) -> Array:
-    """Return the differences of two groups on the robots that both have."""
+    """Return `group` minus `against` on the robots that both have."""
     one, other = values.get(group, {}), values.get(against, {})
     return np.array([one[robot] - other[robot] for robot in one if robot in other], np.float64)
 
 
 def _p_of_claim(interval: Interval, expect: str) -> float:
-    """Return the two-sided p value of a difference on the claimed side of zero; 1 on the other side."""
+    """Return the two-sided p value of a difference with the claimed sign; 1 for the opposite sign."""
     is_there = interval.mean < 0 if expect == "less" else interval.mean > 0
     return interval.p if is_there or math.isnan(interval.p) else 1.0

@@ -1,4 +1,4 @@
-"""The reporter of studies and searches: README.md in a folder, with its command, sections, figures and tables."""
+"""Parts of the reports of studies and searches: README.md in a folder, figures and tables."""
 
 from __future__ import annotations
 
@@ -11,7 +11,16 @@ import numpy as np
 import pandas as pd
 
 from surefoot.evaluation.statistics import Interval, decimal
-from surefoot.report.figures.style import BLUE, GREEN, ORANGE, QUIET, capital, heading, new_figure, place_labels
+from surefoot.report.figures.style import (
+    BLUE,
+    GREEN,
+    ORANGE,
+    QUIET,
+    capitalize_first,
+    heading,
+    new_figure,
+    place_labels,
+)
 from surefoot.studies.search_space import short_name
 
 if TYPE_CHECKING:
@@ -24,13 +33,13 @@ _COLORS = {"complete": BLUE, "pruned": ORANGE}
 
 
 def readme(title: str, command: str, parts: Iterable[str], files: Mapping[str, str]) -> str:
-    """Return README.md of a report.
+    """Return the text of a report's README.md.
 
     Args:
         title: title of the report.
-        command: command line that made it.
+        command: command line that wrote it.
         parts: headings, paragraphs, tables and images in Markdown.
-        files: content of each table in the folder, by file name.
+        files: description of each table in the folder, by file name.
     """
     listed = "\n".join(f"- [{name}]({name}): {content}" for name, content in files.items())
     text = [f"# {title}", f"```sh\n{command}\n```", *parts, "## Files", listed]
@@ -38,12 +47,12 @@ def readme(title: str, command: str, parts: Iterable[str], files: Mapping[str, s
 
 
 def image(caption: str, file: str) -> str:
-    """Return an image of the folder in Markdown."""
+    """Return the Markdown of an image in the report's folder."""
     return f"![{caption}]({file})"
 
 
 def stride_cells(result: Mapping[str, Any]) -> dict[str, str]:
-    """Return the stride period and duty factor of a result of the evaluation `gait` as cells of a table."""
+    """Return stride period and duty factor in a result of the evaluation `gait` as table cells."""
     return {
         heading: decimal(math.nan if result[name] in (None, "") else float(result[name]))
         for heading, name in (("stride (s)", "stride"), ("duty factor", "duty"))
@@ -51,24 +60,24 @@ def stride_cells(result: Mapping[str, Any]) -> dict[str, str]:
 
 
 def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str]) -> Path:
-    """Draw the figures in `names` of every group as bars: mean over seeds, its interval of 95 %, each seed as a dot."""
-    figures = [figure for figure in comparison.figures if figure.name in names]
+    """Plot the metrics `names` of every group as bars: mean over seeds, 95 % interval, and each seed as a dot."""
+    metrics = [metric for metric in comparison.metrics if metric.name in names]
     groups = comparison.groups
-    with new_figure(path, (3.4 * len(figures), 1.5 + 0.55 * len(groups)), columns=len(figures)) as (picture, axes):
-        for ax, figure in zip(axes, figures, strict=True):
+    with new_figure(path, (3.4 * len(metrics), 1.5 + 0.55 * len(groups)), columns=len(metrics)) as (figure, axes):
+        for ax, metric in zip(axes, metrics, strict=True):
             for row, group in enumerate(groups):
-                values = comparison.of_group(group)[figure.name]
-                _group_bar(ax, row, comparison.interval(group, figure), values, f"C{row}")
-            ax.set_title(capital(figure.heading))
+                values = comparison.select_group(group)[metric.name]
+                _group_bar(ax, row, comparison.interval(group, metric), values, f"C{row}")
+            ax.set_title(capitalize_first(metric.heading))
             ax.set_ylim(len(groups) - 0.4, -0.6)
             place_labels(
                 ax, [comparison.study.label(group) if ax is axes[0] else "" for group in groups], vertical=True
             )
             ax.axvline(0.0, color=QUIET, linewidth=0.8)
-            if figure.unit == "%":
-                # Room for the dot of a share of 100 %.
+            if metric.unit == "%":
+                # Leave room for a dot at 100 %.
                 ax.set_xlim(0.0, min(max(ax.get_xlim()[1], 5.0), 103.0))
-        heading(picture, "Mean over seeds, 95 % confidence interval, and each seed as a dot")
+        heading(figure, "Mean over seeds, 95 % confidence interval, and each seed as a dot")
     return Path(path)
 
 
@@ -82,7 +91,7 @@ def _group_bar(ax: Axes, row: int, interval: Interval, values: pd.Series, color:
 
 
 def search_figure(result: SearchResult, path: Path) -> None:
-    """Draw returns of trials in order, their evaluations in training, and the distribution of returns."""
+    """Plot the returns of trials in order, their learning curves, and the distribution of returns."""
     trials, steps = result.trials, result.config.train.steps
     scale, unit = (1e6, "million ") if steps >= 2e5 else (1.0, "")
     with new_figure(path, (11.0, 3.8), columns=3) as (figure, (order, curves, spread)):
@@ -107,7 +116,7 @@ def search_figure(result: SearchResult, path: Path) -> None:
 
 
 def settings_figure(result: SearchResult, path: Path) -> None:
-    """Draw the return of every trial that has a policy against each field, the most important first."""
+    """Plot the return of every trial with a policy against each searched field, the most important field first."""
     trials = result.trials[result.trials.policy.notna()]
     names = list(dict.fromkeys([*result.importance, *result.config.space]))
     columns = min(4, len(names))
@@ -125,7 +134,7 @@ def settings_figure(result: SearchResult, path: Path) -> None:
 
 
 def _against(ax: Axes, trials: pd.DataFrame, name: str) -> None:
-    """Draw returns against a field: on an axis of names where values are not numbers."""
+    """Plot returns against a field, on a categorical axis if its values are not numbers."""
     values = list(trials[name])
     if any(isinstance(value, str) for value in values):
         labels = sorted({str(value) for value in values}, key=lambda text: (len(text), text))

@@ -1,7 +1,7 @@
-"""Identification of emulated robots by surefoot's own commands: four experiments over the link, as an owner does them.
+"""Identification of emulated robots with surefoot's commands: four experiments over the link, as an owner runs them.
 
-A robot is a process of its own (`surefoot emulate`), and nothing but the link leads to it. It follows the times in the
-host's frames, so that a robot's estimates do not depend on how busy the computer is.
+Each robot is a separate process (`surefoot emulate`), which is accessible only through its link. It takes its time from
+the host's frames, so that the estimates do not depend on the computer's load.
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from surefoot.errors import SurefootError
 from surefoot.files import atomic_write
 from surefoot.studies.hidden_robots import HiddenRobots, other_motors_folder, robot_file, robot_name
 
-SUREFOOT = (sys.executable, "-m", "surefoot")
+SUREFOOT_COMMAND = (sys.executable, "-m", "surefoot")
 EXPERIMENTS = {"motor": True, "latency": True, "mass": False, "contact": False}
-"""Whether the robot is on its rack, in the order in which they are made."""
-_POLL = 0.2
-"""Time [s] between two looks whether the operator has stopped."""
+"""Experiments in the order in which they run, and whether the robot is on its rack."""
+_POLL_INTERVAL = 0.2
+"""Time [s] between two checks whether the operator has stopped the study."""
 
 
 @contextlib.contextmanager
 def emulated_robot(*options: object) -> Iterator[str]:
-    """Run `surefoot emulate --lockstep` with more options; give the name of its port.
+    """Run `surefoot emulate --lockstep` with additional options, and yield the name of its port.
 
     Raises:
-        SurefootError: it does not start.
+        SurefootError: the emulator does not start.
     """
-    command = [*SUREFOOT, "emulate", "--lockstep", *map(str, options)]
+    command = [*SUREFOOT_COMMAND, "emulate", "--lockstep", *map(str, options)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as process:
         try:
             assert process.stdout is not None
             words = process.stdout.readline().split()
             if not words:
-                raise SurefootError(f"surefoot emulate {' '.join(command[4:])}: no robot")
+                raise SurefootError(f"surefoot emulate {' '.join(command[4:])}: the emulator did not start")
             yield words[-1]
         finally:
             process.terminate()
@@ -49,20 +49,20 @@ def emulated_robot(*options: object) -> Iterator[str]:
 def identify_robot(
     options: Sequence[object], path: Path, work: Path, robot: str, stopped: Callable[[], bool] = lambda: False
 ) -> bool:
-    """Write a file with what the experiments find of an emulated robot; it appears when all are done.
+    """Identify an emulated robot, and write its parameter file when all experiments are done.
 
     Args:
-        options: of `surefoot emulate`, without the rack.
-        path: the file of parameters.
-        work: folder for recordings and reports; what it held is removed.
-        robot: name or folder of the description that the owner has.
-        stopped: whether the operator has stopped.
+        options: options of `surefoot emulate`, without the rack.
+        path: the parameter file.
+        work: folder for recordings and reports; its earlier content is removed.
+        robot: name or folder of the robot description that the owner has.
+        stopped: returns whether the operator has stopped the study.
 
     Returns:
-        whether the file is written; not if the operator has stopped.
+        Whether the file is written; False if the operator has stopped.
 
     Raises:
-        SurefootError: an experiment that ended early, or identified nothing.
+        SurefootError: an experiment failed.
     """
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
@@ -78,15 +78,17 @@ def identify_robot(
 
 
 def _run_experiment(name: str, words: list[str], log: Path, stopped: Callable[[], bool]) -> bool:
-    """Run an experiment to its end; return false if the operator has stopped it."""
+    """Run an experiment; return False if the operator has stopped it."""
     with log.open("w", encoding="utf-8") as output:
-        process = subprocess.Popen([*SUREFOOT, "identify", name, *words], stdout=output, stderr=subprocess.STDOUT)
+        process = subprocess.Popen(
+            [*SUREFOOT_COMMAND, "identify", name, *words], stdout=output, stderr=subprocess.STDOUT
+        )
         try:
             while process.poll() is None:
                 if stopped():
                     return False
                 with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(_POLL)
+                    process.wait(_POLL_INTERVAL)
         finally:
             process.kill()
             process.wait()
@@ -96,8 +98,8 @@ def _run_experiment(name: str, words: list[str], log: Path, stopped: Callable[[]
     return True
 
 
-def waiting_robots(robots: HiddenRobots, folder: Path) -> list[int]:
-    """Return the seeds of robots that are not identified yet."""
+def unidentified_robots(robots: HiddenRobots, folder: Path) -> list[int]:
+    """Return the seeds of the robots that are not identified yet."""
     return [seed for seed in robots.seeds if not robot_file(folder, seed).is_file()]
 
 
@@ -109,18 +111,18 @@ def identify_robots(
     on_end: Callable[[int, str], None],
     stopped: Callable[[], bool] = lambda: False,
 ) -> dict[int, str]:
-    """Identify the robots whose files are missing in a folder, some at a time.
+    """Identify all robots whose parameter files are missing, several in parallel.
 
     Args:
         robots: the robots.
-        folder: where their files go.
-        work: folder for recordings, reports and descriptions.
-        workers: how many at a time, each on one core; 0 means one a core.
-        on_end: called with a robot's seed when it is identified, or with the error in one line.
-        stopped: whether the operator has stopped.
+        folder: folder of the parameter files.
+        work: folder for recordings, reports and robot descriptions.
+        workers: number of parallel identifications, each on one core; 0 means one per core.
+        on_end: called after each identification with the robot's seed and the error in one line, or an empty string.
+        stopped: returns whether the operator has stopped the study.
 
     Returns:
-        the errors, by the robot's seed.
+        Errors by the robot's seed.
     """
     work.mkdir(parents=True, exist_ok=True)
     ranges = work / "ranges.yaml"
@@ -134,14 +136,14 @@ def identify_robots(
         return not stopped() and identify_robot((*options, "--seed", seed), path, place, robots.robot, stopped)
 
     with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        futures = {pool.submit(identify, seed): seed for seed in waiting_robots(robots, folder)}
+        futures = {pool.submit(identify, seed): seed for seed in unidentified_robots(robots, folder)}
         for future in as_completed(futures):
             seed, error = futures[future], ""
             try:
                 if not future.result():
                     continue
             except SurefootError as problem:
-                if stopped():  # Ctrl-C ends the processes of a terminal, too.
+                if stopped():  # Ctrl-C also ends the child processes.
                     continue
                 error = failed[seed] = " ".join(str(problem).split())
             on_end(seed, error)

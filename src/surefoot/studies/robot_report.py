@@ -1,4 +1,4 @@
-"""The report of a study on hidden robots as Markdown: claims, groups, robots, figures."""
+"""Markdown report of a study on hidden robots: claims, groups, robots, figures."""
 
 from __future__ import annotations
 
@@ -12,28 +12,35 @@ import pandas as pd
 from surefoot.evaluation.statistics import CONFIDENCE, decimal
 from surefoot.files import atomic_write
 from surefoot.report.figures.robots import GroupOnRobots, robots_figure
-from surefoot.report.figures.style import capital
-from surefoot.studies.hidden_robots import OTHER, OWN, robot_name
-from surefoot.studies.questions import FIGURES, LEVEL, Answer, ComparedPair
+from surefoot.report.figures.style import capitalize_first
+from surefoot.studies.hidden_robots import DATA_SHEET_MOTORS, OTHER_MOTORS, robot_name
+from surefoot.studies.questions import LEVEL, METRICS, Answer, ComparedPair
 from surefoot.studies.report import image, readme
 from surefoot.studies.robot_comparison import ALL, CONTENTS, RobotComparison, robot_tables
 from surefoot.tables import markdown, with_unit, write_csv
 
 _HOW_TO_READ = (
-    "Each robot was identified through its link, and policies of a group with identified parameters were trained for "
-    "that robot. A number of a group on a robot is the mean over seeds and starts; intervals of {confidence:.0%} "
-    "(Student's t) and differences are over robots, in pairs. Gap: return in the policy's own simulator less return "
-    "on the robot. A fall is a run that did not keep its balance to the end. Every part of a claim is tested at "
-    "{level:.2g}, and the p value of the claim is the greatest one (intersection-union), without correction. A claim "
-    "of equivalence has two one-sided tests, and an interval of 90 %. Comparisons without a claim are corrected by "
-    "Holm within their question."
+    "Each robot was identified through its link, and the policies of a group with identified parameters were trained "
+    "for that robot. A group's value on a robot is the mean over seeds and starts; {confidence:.0%} confidence "
+    "intervals (Student's t) and paired differences are over robots. Gap: return in the training simulator minus "
+    "return on the robot. A fall is a run in which the robot did not keep its balance to the end. Every part of a "
+    "claim is tested at {level:.2g}, and the claim's p value is their maximum (intersection-union test), without "
+    "correction. A claim of equivalence has two one-sided tests, and a 90 % interval. Comparisons without a claim have "
+    "Holm's correction within their question."
 )
 
 
 def write_robot_report(
     comparison: RobotComparison, parameters: Sequence[dict[str, Any]], folder: Path, command: str
 ) -> Path:
-    """Write tables, figures and README.md, with the command that made them, into a folder; return README's path."""
+    """Write tables, figures and README.md into a folder; return the path of README.md.
+
+    Args:
+        comparison: the groups on their robots.
+        parameters: rows of `parameter_rows`.
+        folder: folder of the report.
+        command: command line, which the report names.
+    """
     tables = {name: table for name, table in robot_tables(comparison, parameters).items() if len(table)}
     for name, table in tables.items():
         write_csv(folder / f"{name}.csv", table)
@@ -58,23 +65,25 @@ def write_robot_report(
 def _family_label(comparison: RobotComparison, family: str) -> str:
     other = comparison.study.hidden.other_motors
     label = "" if other is None else other.label
-    return {ALL: "all robots", OWN: "robots with motors of the data sheet's family", OTHER: f"robots with {label}"}[
-        family
-    ]
+    return {
+        ALL: "all robots",
+        DATA_SHEET_MOTORS: "robots with motors of the data sheet's family",
+        OTHER_MOTORS: f"robots with {label}",
+    }[family]
 
 
 def _draw(comparison: RobotComparison, folder: Path) -> dict[str, str]:
-    """Draw a figure for each family of motors; return the files by family."""
+    """Draw a figure for each motor family; return the files by family."""
     other, files = comparison.study.hidden.other_motors, {}
     for family in comparison.families:
-        rows = comparison.of_family(family)
+        rows = comparison.select_family(family)
         groups = [
             GroupOnRobots(
                 comparison.study.label(group),
                 part.home.to_numpy(),
                 part.on_robot.to_numpy(),
                 float(part.falls.mean()) / 100,
-                (part.motors == OTHER).to_numpy(),
+                (part.motors == OTHER_MOTORS).to_numpy(),
             )
             for group, part in rows.groupby("group", sort=False)
         ]
@@ -85,23 +94,23 @@ def _draw(comparison: RobotComparison, folder: Path) -> dict[str, str]:
 
 
 def _claims(comparison: RobotComparison) -> list[str]:
-    """Return the section of claims: a line each, and a table of their parts."""
+    """Return the section of claims: one line each, and a table of their parts."""
     claims = {name: one for name, one in comparison.answers.items() if one.question.is_claim}
     if not claims:
         return []
     primary = comparison.study.primary_questions
     lines = [
-        f"- {'**Primary.** ' if name in primary else ''}{capital(one.question.text)}: **{one.verdict}**"
+        f"- {'**Primary.** ' if name in primary else ''}{capitalize_first(one.question.text)}: **{one.verdict}**"
         + ("" if np.isnan(one.p) else f" (p {_p(one.p)})")
         for name, one in claims.items()
     ]
-    out = [f"- {capital(reason)}." for reason in comparison.not_learned.values()]
+    out = [f"- {capitalize_first(reason)}." for reason in comparison.not_learned.values()]
     parts = [part for one in claims.values() for part in _answer(comparison, one)]
     return ["## Claims", "\n".join([*lines, *out]), *parts]
 
 
 def _open_questions(comparison: RobotComparison) -> list[str]:
-    """Return the section of questions without a claim; empty if there is none."""
+    """Return the section of questions without a claim, if there are any."""
     answers = [one for one in comparison.answers.values() if not one.question.is_claim]
     parts = [part for one in answers for part in _answer(comparison, one)]
     return ["## Questions without a claim", *parts] if parts else []
@@ -109,7 +118,7 @@ def _open_questions(comparison: RobotComparison) -> list[str]:
 
 def _answer(comparison: RobotComparison, one: Answer) -> list[str]:
     """Return the comparisons of a question as a sentence and a table."""
-    title, unit, digits = FIGURES[one.question.figure]
+    title, unit, digits = METRICS[one.question.figure]
 
     def row(pair: ComparedPair) -> dict[str, str]:
         label = comparison.study.label
@@ -118,7 +127,7 @@ def _answer(comparison: RobotComparison, one: Answer) -> list[str]:
         cells |= {"p": _p(pair.p)}
         return cells | ({"left out": pair.left_out or "-"} if one.question.is_claim else {"p, Holm": _p(pair.p_holm)})
 
-    return [f"{capital(one.question.text)}:", markdown([row(pair) for pair in one.comparisons])]
+    return [f"{capitalize_first(one.question.text)}:", markdown([row(pair) for pair in one.comparisons])]
 
 
 def _p(value: float) -> str:
@@ -126,21 +135,25 @@ def _p(value: float) -> str:
 
 
 def _results(comparison: RobotComparison, family: str, file: str) -> list[str]:
-    """Return the section of a family of motors: the figure and a row for each group."""
-    label, rows = _family_label(comparison, family), comparison.of_family(family)
+    """Return the section of a motor family: the figure, and a table with one row per group."""
+    label, rows = _family_label(comparison, family), comparison.select_family(family)
     table = []
     for group in comparison.groups:
         part = rows[rows.group == group]
         if len(part):
             cells = {"group": comparison.study.label(group), "robots": str(len(part)), "runs": str(part.runs.sum())}
-            for figure, (title, unit, digits) in FIGURES.items():
-                cells[with_unit(title, unit)] = comparison.interval(group, figure, family).text(digits)
+            for metric, (title, unit, digits) in METRICS.items():
+                cells[with_unit(title, unit)] = comparison.interval(group, metric, family).text(digits)
             table.append(cells)
-    return [f"## {capital(label)}", image(f"Return in simulation and on the robot: {label}", file), markdown(table)]
+    return [
+        f"## {capitalize_first(label)}",
+        image(f"Return in simulation and on the robot: {label}", file),
+        markdown(table),
+    ]
 
 
 def _every_robot(comparison: RobotComparison) -> list[str]:
-    """Return a table with a row for each group and robot."""
+    """Return a table with one row per group and robot."""
     rows: list[Mapping[str, Any]] = comparison.robots.to_dict("records")
     return [
         markdown(
@@ -149,7 +162,7 @@ def _every_robot(comparison: RobotComparison) -> list[str]:
                 | {"motors": row["motors"], "seeds": row["seeds"]}
                 | {
                     with_unit(title, unit): decimal(row[name], digits)
-                    for name, (title, unit, digits) in FIGURES.items()
+                    for name, (title, unit, digits) in METRICS.items()
                 }
                 for row in rows
             ]
@@ -158,15 +171,15 @@ def _every_robot(comparison: RobotComparison) -> list[str]:
 
 
 def _parameters(table: pd.DataFrame) -> list[str]:
-    """Return how many intervals of identified parameters hold the true value, by parameter and family of motors."""
-    known = table[table.inside.notna()]
+    """Return how many intervals of identified parameters contain the true value, by parameter and motor family."""
+    with_interval = table[table.inside.notna()]
     rows = [
         {"parameter": f"`{name}`"}
-        | {f"{family} motors": _held(part[part.motors == family]) for family in dict.fromkeys(table.motors)}
-        for name, part in known.groupby("parameter", sort=False)
+        | {f"{family} motors": _coverage(part[part.motors == family]) for family in dict.fromkeys(table.motors)}
+        for name, part in with_interval.groupby("parameter", sort=False)
     ]
-    return ["## Intervals of the identification that hold the true value", markdown(rows)] if rows else []
+    return ["## Intervals of the identification that contain the true value", markdown(rows)] if rows else []
 
 
-def _held(part: pd.DataFrame) -> str:
+def _coverage(part: pd.DataFrame) -> str:
     return f"{int(part.inside.sum())} of {len(part)}"

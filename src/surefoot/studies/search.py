@@ -1,7 +1,7 @@
-"""A search: many trainings whose settings Optuna proposes, prunes where they fall behind, and keeps in a journal.
+"""Hyperparameter search with Optuna, which proposes settings of trials, prunes poor trials and keeps a journal.
 
-A trial's training depends on the search's seed, the trial's number and its settings. What Optuna proposes depends on
-the results so far: with one worker every trial is reproducible, with more the first ones are, which are drawn at
+A trial's training depends on the search's seed, the trial's number and its settings. Optuna's proposals depend on the
+results so far: with one worker every trial is reproducible, with several only the first ones, whose settings are
 random.
 """
 
@@ -21,44 +21,44 @@ from surefoot.errors import SurefootError, describe_os_errors, prefix_errors
 from surefoot.files import atomic_write
 from surefoot.learn.config import Steps, TrainConfig
 from surefoot.seeding import generator
-from surefoot.studies.search_space import Dimension, as_params, load_space, put, suggest
-from surefoot.studies.training import Training, base_config, difference
+from surefoot.studies.search_space import Dimension, load_space, suggest_values, to_optuna_params, with_values
+from surefoot.studies.training import Training, base_config, first_difference
 from surefoot.studies.workers import ProgressReport
 
 EVALUATIONS = 10
-"""Evaluations of a trial, evenly spread; pruning compares trials at each."""
+"""Number of evenly spaced evaluations of a trial, at which pruning compares trials."""
 EVALUATION_EPISODES = 8
 RANDOM_TRIALS = 12
-"""Trials whose settings are drawn at random, before the sampler learns from them."""
-PRUNING_FROM = 1 / 3
-"""Share of a trial's steps before which it is not pruned."""
+"""Number of first trials with random settings, from which the sampler starts."""
+PRUNING_START = 1 / 3
+"""Fraction of a trial's steps before which it is not pruned."""
 MIN_TRIALS_FOR_IMPORTANCE = 8
-"""Complete trials from which on the importance of fields is computed."""
-SETTINGS = "search.yaml"
-"""File of a search's folder."""
+"""Minimum number of complete trials for computing the importance of fields."""
+CONFIG_FILE = "search.yaml"
+"""Configuration in a search's folder."""
 _NAME = "search"
 
 
 @dataclass(frozen=True)
 class SearchConfig:
-    """Everything that the trials of a search depend on."""
+    """Configuration of a search, on which all its trials depend."""
 
     train: TrainConfig
-    """What holds for all fields that are not searched."""
+    """Base configuration of the trials, with the values of all fields that are not searched."""
     space: dict[str, Dimension] = field(default_factory=dict)
-    """The fields that are searched, by dotted name."""
+    """Fields that are searched, by dotted name."""
     seed: Seed = 0
 
     @property
     def evaluations(self) -> int:
-        """Evaluations of a trial."""
+        """Number of evaluations of a trial."""
         return -(-self.train.steps // self.train.evaluate_every)
 
 
-def check_holds_search(folder: Path) -> None:
-    """Refuse a folder that holds no search."""
-    if not (folder / SETTINGS).is_file():
-        raise SurefootError(f"{folder}: holds no search to go on with; leave --resume out to begin one")
+def check_search_folder(folder: Path) -> None:
+    """Raise SurefootError for a folder without a search."""
+    if not (folder / CONFIG_FILE).is_file():
+        raise SurefootError(f"{folder}: has no search to resume; leave --resume out to begin one")
 
 
 def make_config(task: str, space: Path | None, seed: int, steps: Steps) -> SearchConfig:
@@ -66,12 +66,12 @@ def make_config(task: str, space: Path | None, seed: int, steps: Steps) -> Searc
 
     Args:
         task: name of a preset, or path of a task file.
-        space: file of the search space; the one that ships, if None.
-        seed: of the search.
-        steps: environment steps of each trial.
+        space: file of the search space; defaults to the one that ships.
+        seed: seed of the search.
+        steps: control steps of each trial.
 
     Raises:
-        SurefootError: a task or a space that does not fit.
+        SurefootError: the task or the space is invalid.
     """
     base = base_config(task)
     train = replace(
@@ -79,22 +79,22 @@ def make_config(task: str, space: Path | None, seed: int, steps: Steps) -> Searc
         steps=steps,
         evaluate_every=max(1, steps // EVALUATIONS),
         evaluation_episodes=EVALUATION_EPISODES,
-        # Trials may learn with weights of their own; they are compared with the task's.
+        # Trials may be trained with other reward weights, and are compared by the task's.
         evaluation_reward=base.task.reward,
     )
     return SearchConfig(train, load_space(space, train), seed)
 
 
 class Search:
-    """A search in its folder: `search.yaml`, the journal `trials.log`, and a run folder for each trial in `trials/`.
+    """Search in a folder: `search.yaml`, the journal `trials.log`, and a run folder for each trial in `trials/`.
 
     Args:
-        config: the search.
-        folder: its folder, which this process has locked.
-        resume: go on with the search in the folder.
+        config: configuration of the search.
+        folder: folder of the search, which this process has locked.
+        resume: resume the search in the folder.
 
     Raises:
-        SurefootError: a search is there without `resume`; with it, the search is another one or damaged.
+        SurefootError: the folder has a search and `resume` is not set; or the search to resume is different or damaged.
     """
 
     def __init__(self, config: SearchConfig, folder: Path, resume: bool) -> None:
@@ -105,22 +105,22 @@ class Search:
         self.config, self.folder = config, folder
         self.journal, self.notes = folder / "trials.log", list[str]()
         self._trials: dict[str, Any] = {}
-        settings = folder / SETTINGS
+        settings = folder / CONFIG_FILE
         if resume:
             self._check_same(settings)
             self._repair()
         elif settings.exists():
-            raise SurefootError(f"{folder}: holds a search; go on with it by --resume, or give another --out")
+            raise SurefootError(f"{folder}: already has a search; resume it with --resume, or choose another --out")
         else:
             with describe_os_errors(settings, "written"):
                 write_yaml(settings, config)
-        # This process has locked the folder: a lock of the journal was left by a process that was killed.
+        # Since this process has locked the folder, a lock of the journal is left over from a killed process.
         Path(f"{self.journal}.lock").unlink(missing_ok=True)
-        warm = math.ceil(PRUNING_FROM * config.evaluations)
-        with _readable(self.journal):
+        warmup_steps = math.ceil(PRUNING_START * config.evaluations)
+        with _wrap_optuna_errors(self.journal):
             self.study = optuna.create_study(
                 storage=JournalStorage(JournalFileBackend(str(self.journal))),
-                pruner=optuna.pruners.MedianPruner(n_startup_trials=8, n_warmup_steps=warm),
+                pruner=optuna.pruners.MedianPruner(n_startup_trials=8, n_warmup_steps=warmup_steps),
                 study_name=_NAME,
                 direction="maximize",
                 load_if_exists=True,
@@ -130,18 +130,22 @@ class Search:
         data = read_yaml(settings)
         with prefix_errors(settings):
             stored = from_mapping(SearchConfig, data)
-        if change := difference(stored, self.config):
+        if change := first_difference(stored, self.config):
             name, was, now = change
             if name == "space":
                 name = next(key for key in {**was, **now} if was.get(key) != now.get(key))
                 was, now = was.get(name), now.get(name)
             raise SurefootError(
-                f"{self.folder}: was searched with {name} {was!r}, and now it is {now!r}; give the same, or another "
-                "--out"
+                f"{self.folder}: the search there has {name} {was!r}, this one {now!r}; use the same, or choose "
+                "another --out"
             )
 
     def _repair(self) -> None:
-        """Remove a last record of the journal that was cut off; refuse, unchanged, one that is damaged elsewhere."""
+        """Remove an incomplete last record from the journal.
+
+        Raises:
+            SurefootError: the journal is damaged elsewhere; it stays unchanged.
+        """
         if not self.journal.exists():
             return
         with describe_os_errors(self.journal):
@@ -155,27 +159,27 @@ class Search:
             if not is_record:
                 raise SurefootError(
                     f"{self.journal}: line {number} of {len(lines)} is not a record of a search; restore the file, or "
-                    "move it away: the same command takes up every trial from its folder"
+                    "move it away: the same command recovers every trial from its folder"
                 )
         if rest:
             atomic_write(self.journal, b"".join(line + b"\n" for line in lines))
             self.notes.append(
-                f"{self.journal}: the last record was cut off and is removed; its content is read from the trials' "
-                "folders"
+                f"{self.journal}: removed the last record, which was incomplete; its content is recovered from the "
+                "trials' folders"
             )
 
     def training(self, number: int, config: TrainConfig | None = None) -> Training:
-        """Return the training of a trial, which depends on its settings, its number and the search's seed alone."""
+        """Return the training of a trial, which depends only on its settings, its number and the search's seed."""
         group = f"trial_{number:04d}"
         seed = int(generator(self.config.seed, "trial", number).integers(2**32))
         config = replace(config or self.config.train, name=group, seed=seed)
         return Training(group, config, self.folder / "trials" / group, trial=True)
 
     def importance(self) -> dict[str, float]:
-        """Return how well each field separates the best trials from the others (PED-ANOVA), all together 1.
+        """Return each field's importance: how well it separates the best trials from the others. The sum is 1.
 
-        Watanabe et al. 2023, "PED-ANOVA: efficiently quantifying hyperparameter importance in arbitrary subspaces".
-        Empty where too few trials are complete.
+        PED-ANOVA: Watanabe et al. 2023, "PED-ANOVA: efficiently quantifying hyperparameter importance in arbitrary
+        subspaces". Empty if fewer than `MIN_TRIALS_FOR_IMPORTANCE` trials are complete.
         """
         import optuna
 
@@ -184,27 +188,27 @@ class Search:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of trials of each state: complete, pruned, fail, running."""
+        """Number of trials by state: complete, pruned, fail, running."""
         states = [trial.state.name.lower() for trial in self.study.get_trials(deepcopy=False)]
         return {state: states.count(state) for state in dict.fromkeys(states)}
 
     def trainings(self, trials: int) -> Iterator[Training]:
-        """Yield the trainings of trials up to a number, those that were under way first."""
+        """Yield the trainings of trials up to a number of trials, interrupted trials first."""
         import optuna
 
         for frozen in self.study.trials:
             if frozen.state == optuna.trial.TrialState.RUNNING:
                 self.study.sampler = self._sampler(frozen.number)
-                # Optuna has no public way to go on with a trial of another process.
+                # Optuna has no public function to continue a trial of another process.
                 yield from self._training(optuna.trial.Trial(self.study, frozen._trial_id))
         while (number := len(self.study.get_trials(deepcopy=False))) < trials:
             self.study.sampler = self._sampler(number)
             yield from self._training(self.study.ask())
 
     def _sampler(self, number: int) -> Any:
-        """Return the sampler of a trial, seeded by its number, so that stops do not change what it draws.
+        """Return the sampler of a trial, seeded by its number, so that interruptions do not change its draws.
 
-        A trial that has a folder has its settings from there, whether or not they are in the journal.
+        If the trial has a folder, its settings are taken from there, whether or not they are in the journal.
         """
         import optuna
 
@@ -214,15 +218,15 @@ class Search:
         if not path.exists():
             return sampler
         with prefix_errors(path):
-            params = as_params(self.config.space, from_mapping(TrainConfig, read_yaml(path)))
+            params = to_optuna_params(self.config.space, from_mapping(TrainConfig, read_yaml(path)))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
             return optuna.samplers.PartialFixedSampler(params, sampler)
 
     def _training(self, trial: Any) -> Iterator[Training]:
-        """Yield the training of a trial; none where the configuration refuses the settings."""
+        """Yield the training of a trial; the trial fails without one if its settings are invalid."""
         try:
-            config = put(self.config.train, self.config.space, suggest(self.config.space, trial))
+            config = with_values(self.config.train, self.config.space, suggest_values(self.config.space, trial))
         except SurefootError as error:
             self._fail(trial, str(error))
             return
@@ -247,7 +251,7 @@ class Search:
             if step not in recorded and math.isfinite(evaluation["return_mean"]):
                 trial.report(evaluation["return_mean"], step)
         if not report.finished:
-            # A trial that goes on from a checkpoint is judged at its next evaluation.
+            # A trial that was resumed from a checkpoint may be pruned only at its next evaluation.
             is_new = report.evaluations and report.evaluations[-1]["steps"] == report.steps
             return bool(is_new and trial.should_prune())
         last = report.evaluations[-1]["return_mean"] if report.evaluations else math.nan
@@ -260,20 +264,20 @@ class Search:
         return False
 
     def on_change(self, training: Training, state: str, error: str) -> None:
-        """Record the error of a trial that failed; `on_report` records all else."""
+        """Record the error of a trial that failed; `on_report` records all other states."""
         if state == "failed":
             self._fail(self._trials[training.group], error)
 
 
 @contextmanager
-def _readable(journal: Path) -> Iterator[None]:
-    """Raise errors of Optuna about records that are not its own in one line."""
+def _wrap_optuna_errors(journal: Path) -> Iterator[None]:
+    """Turn any error of Optuna about an unreadable journal into a SurefootError of one line."""
     try:
         yield
     except (SurefootError, OSError):
         raise
-    except Exception as error:  # Optuna's records are not checked: any error may come of them.
+    except Exception as error:  # Optuna does not validate its records, so that they may cause any error.
         raise SurefootError(
             f"{journal}: Optuna can't read it ({type(error).__name__}: {error}); restore the file, or move it away: "
-            "the same command takes up every trial from its folder"
+            "the same command recovers every trial from its folder"
         ) from error

@@ -1,4 +1,4 @@
-"""Report of a search: README.md, tables and figures."""
+"""Markdown report of a search, with its tables and figures."""
 
 from __future__ import annotations
 
@@ -22,38 +22,42 @@ from surefoot.studies.search_result import SearchResult, sort_trials
 from surefoot.studies.search_space import short_name
 from surefoot.tables import markdown, write_csv
 
-_LISTED = 10
-"""Best trials in the report; the table has all."""
+_MAX_LISTED_TRIALS = 10
+"""Number of best trials in the report; trials.csv has all."""
 _TERMS = (
     "Return: mean over the episodes of the deterministic policy's evaluation at the end of a trial, with the task's "
-    "own weight of energy. A pruned trial has the return of its last evaluation. Importance: how well a field "
-    "separates the best trials from the others (PED-ANOVA), over complete trials only."
+    "own energy weight. A pruned trial has the return of its last evaluation. Importance: how well a field separates "
+    "the best trials from the others (PED-ANOVA), among complete trials."
 )
 _BIAS = (
-    "The best of many noisy returns is too high: its noise was selected too. Claimed: the return that the search "
-    f"saw. Fresh: the same policy in episodes that the search has not seen. Brackets: {CONFIDENCE:.0%} confidence, "
-    "over episodes for one policy, over policies for their mean. Bullet: with the robot as its data sheet describes it."
+    "The best of many noisy returns is biased upwards, because the selection also favours lucky noise. Claimed: the "
+    "return that the search measured. Fresh: the return of the same policy in new episodes. Brackets: "
+    f"{CONFIDENCE:.0%} confidence interval, over episodes for one policy, over policies for their mean. Bullet: with "
+    "the robot as its data sheet describes it."
 )
 
 
-_OBJECTS = ["curve", "policy", "result"]
-"""Columns of trials that are not written to tables."""
+_OBJECT_COLUMNS = ["curve", "policy", "result"]
+"""Columns of trials that are not written to trials.csv."""
 _CONTENTS = {
     "trials.csv": "one row per trial",
-    "best.csv": "one row per fresh episode of the best",
-    "top.csv": "one row for each of the best, claimed and fresh, and one over all of them",
-    "census.csv": "one row per gait: trials, patterns and the trial of the highest return",
+    "best.csv": "one row per fresh episode of the best trials",
+    "top.csv": "one row per best trial, with claimed and fresh return, and one over all of them",
+    "census.csv": "one row per gait: trials, patterns and the trial with the highest return",
     "importance.csv": "one row per field",
 }
-"""Content of each table."""
-_LONGEST = 200
-"""Characters of a gait's patterns in the report; longer ones are in the table only."""
+"""Description of each table."""
+_MAX_PATTERN_LENGTH = 200
+"""Maximum number of characters of a gait's patterns in the report; longer ones are only in census.csv."""
 
 
 def write_report(result: SearchResult, folder: Path, command: str) -> Path:
-    """Write tables, figures and README.md, with the command that made them, into a folder; return README's path."""
+    """Write tables, figures and README.md into a folder; return the path of README.md.
+
+    The report names `command`, the command line.
+    """
     trials = result.trials
-    write_csv(folder / "trials.csv", trials.drop(columns=_OBJECTS))
+    write_csv(folder / "trials.csv", trials.drop(columns=_OBJECT_COLUMNS))
     write_csv(folder / "best.csv", result.fresh)
     write_csv(folder / "top.csv", _top_rows(result))
     census = _census(result)
@@ -65,7 +69,7 @@ def write_report(result: SearchResult, folder: Path, command: str) -> Path:
         write_csv(folder / f"{name}.csv", pd.DataFrame(rows, columns=list(columns)))
     search_figure(result, folder / "search.png")
     settings_figure(result, folder / "parameters.png")
-    # A trial that was under way at the last report may have another gait now.
+    # A trial that was incomplete at the last report may have another gait now.
     for old in folder.glob("gait_*.png"):
         old.unlink()
     for row in census:
@@ -76,14 +80,14 @@ def write_report(result: SearchResult, folder: Path, command: str) -> Path:
     return path
 
 
-def text_of_tables(folder: Path, command: str) -> str:
-    """Return README.md of a search from the tables of its report, without the trials' folders."""
+def report_from_tables(folder: Path, command: str) -> str:
+    """Return the README.md of a search from the tables of its report; the trials' folders are not needed."""
     census, importance, fresh, trials = (
         pd.read_csv(folder / f"{name}.csv", keep_default_na=name != "census")
         for name in ("census", "importance", "best", "trials")
     )
     fresh["balanced"] = fresh.balanced.astype(bool)
-    # The file may be of an earlier version, whose task this version does not read.
+    # The file may be from an earlier version, whose task this version can't read.
     stored = read_yaml(folder / "search.yaml")
     train = stored["train"]
     config = make_config(train["task"]["name"], None, stored["seed"], train["steps"])
@@ -93,33 +97,34 @@ def text_of_tables(folder: Path, command: str) -> str:
 
 
 def report_text(result: SearchResult, fields: Sequence[str], census: Sequence[Mapping[str, Any]], command: str) -> str:
-    """Return README.md of a search from its tables; of the result only config, importance and the tables' columns.
+    """Return the README.md of a search.
 
     Args:
-        result: the search.
+        result: the search; only its configuration, importance and columns that are in tables are needed.
         fields: dotted names of the fields that were searched.
-        census: a row for each gait.
-        command: command line that made the report.
+        census: one row per gait.
+        command: command line, which the report names.
     """
     trials, train, biases = result.trials, result.config.train, result.selection_bias()
     counts = ", ".join(f"{number} {state}" for state, number in trials.groupby("state", sort=False).size().items())
     bias = t_interval([bias.mean for _, bias in biases.values()])
     importance = [{"field": f"`{name}`", "importance": decimal(value)} for name, value in result.importance.items()]
     parts = [
-        f"{len(trials)} trials ({counts}) of {train.steps:,} control steps, {train.evaluation_episodes} episodes an "
-        f"evaluation, seed {result.config.seed}; {trials.seconds.sum() / 3600:.2f} hours of training in all. {_TERMS}",
+        f"{len(trials)} trials ({counts}) of {train.steps:,} control steps, {train.evaluation_episodes} episodes per "
+        f"evaluation, seed {result.config.seed}; {trials.seconds.sum() / 3600:.2f} hours of training. {_TERMS}",
         image("Returns of all trials", "search.png"),
         "## Best trials",
         markdown(_best_rows(result, fields)),
         "## Selection bias of the best",
         _BIAS,
         markdown([_retest_row(result, number, *values) for number, values in biases.items()]),
-        f"Claimed less fresh, mean of these {len(biases)}: {bias.text(3, sign=True)} m.",
-        "## What matters",
+        f"Claimed minus fresh, mean of these {len(biases)}: {bias.text(3, sign=True)} m.",
+        "## Importance of fields",
         markdown(importance) if importance else "There are too few complete trials.",
         image("Return against each field", "parameters.png"),
         "## Gaits that emerged",
-        "Names of the gaits of all policies, pruned ones included: the most frequent name in 5 episodes at home.",
+        "The gait of each policy, including pruned trials, is the most frequent name in 5 episodes in the training "
+        "simulator.",
         *_census_section(census),
     ]
     return readme(f"Search: {train.task.name}", command, parts, _CONTENTS)
@@ -131,7 +136,7 @@ def _best_rows(result: SearchResult, fields: Sequence[str]) -> list[dict[str, st
     return [
         {"trial": str(row["trial"]), "return (m)": decimal(row["return"]), "gait": row["pattern"] or "-"}
         | {short_name(name): f"{x:.3g}" if isinstance(x := row[name], float) else str(x) for name in fields}
-        for row in sort_trials(complete)[:_LISTED].to_dict("records")
+        for row in sort_trials(complete)[:_MAX_LISTED_TRIALS].to_dict("records")
     ]
 
 
@@ -149,7 +154,7 @@ def _retest_row(result: SearchResult, trial: int, fresh: Interval, bias: Interva
         "trial": str(trial),
         "claimed (m)": decimal(result.claimed(trial)),
         "fresh (m)": fresh.text(),
-        "claimed less fresh (m)": bias.text(3, sign=True),
+        "claimed minus fresh (m)": bias.text(3, sign=True),
         "speed (m/s)": mean(home, "speed"),
         "power (W)": mean(home, "power"),
         "falls": falls(home),
@@ -160,7 +165,7 @@ def _retest_row(result: SearchResult, trial: int, fresh: Interval, bias: Interva
 
 
 def _top_rows(result: SearchResult) -> list[dict[str, object]]:
-    """Return a row for each of the best trials, and one over all of them, whose intervals are over policies."""
+    """Return one row per best trial, and one over all of them, whose intervals are over policies."""
     biases = result.selection_bias()
     rows: list[dict[str, object]] = []
     for rank, (trial, (fresh, bias)) in enumerate(biases.items(), start=1):
@@ -172,7 +177,7 @@ def _top_rows(result: SearchResult) -> list[dict[str, object]]:
 
 
 def _cells(fresh: Interval, bias: Interval, runs: pd.DataFrame) -> dict[str, object]:
-    """Return cells on fresh episodes: the columns of a table of worlds, each with its world's name before it."""
+    """Return the columns of `top.csv` about fresh episodes; columns of `summarize_runs` have the world as a prefix."""
     cells: dict[str, object] = {**fresh.columns("fresh"), **bias.columns("selection_bias")}
     for world, part in runs.groupby("world", sort=False):
         cells |= {f"{world}_{name}": value for name, value in summarize_runs(part).items() if name != "world"}
@@ -180,7 +185,7 @@ def _cells(fresh: Interval, bias: Interval, runs: pd.DataFrame) -> dict[str, obj
 
 
 def _census(result: SearchResult) -> list[dict[str, Any]]:
-    """Return a row for each gait, the most frequent first."""
+    """Return one row per gait, the most frequent first."""
     gaits = dict(list(sort_trials(result.trials).groupby("gait")))
     rows = []
     for gait, trials in sorted(gaits.items(), key=lambda item: -len(item[1])):
@@ -207,7 +212,7 @@ def _census_section(census: Sequence[Mapping[str, Any]]) -> list[str]:
         rows.append(
             {
                 **{name: str(one[name]) for name in ("gait", "trials", "complete")},
-                "patterns": patterns if len(patterns) < _LONGEST else "many, see census.csv",
+                "patterns": patterns if len(patterns) < _MAX_PATTERN_LENGTH else "many, see census.csv",
                 "highest return (m)": decimal(one["highest_return"]),
                 "of trial": str(one["of_trial"]),
                 **stride_cells(one),

@@ -1,4 +1,4 @@
-"""Outcome of a search: its trials with their gaits, and the best trials in fresh episodes."""
+"""Result of a search: its trials with their gaits, and the best trials in fresh episodes."""
 
 from __future__ import annotations
 
@@ -12,43 +12,43 @@ from typing import Any
 import pandas as pd
 
 from surefoot.errors import SurefootError
-from surefoot.evaluation.conditions import away_task
+from surefoot.evaluation.conditions import data_sheet_task
 from surefoot.evaluation.runs import measure_runs
 from surefoot.evaluation.statistics import Interval, t_interval
 from surefoot.studies.evaluations import EvaluationRun, Result, cached_result, evaluate
 from surefoot.studies.search import Search, SearchConfig
-from surefoot.studies.search_space import get
+from surefoot.studies.search_space import get_value
 from surefoot.world.process_world import worker_pool
 
-_TOP = 3
+_NUM_BEST_TRIALS = 3
 """Number of best trials that are evaluated in fresh episodes."""
 _EPISODES = 20
 _SEED = 2_000_003
-"""Seed of fresh episodes, which neither training nor search has used."""
+"""Seed of fresh episodes, which neither trainings nor searches use."""
 
 
 @dataclass(frozen=True)
 class SearchResult:
-    """Trials of a search, and what the best of them do in fresh episodes."""
+    """Trials of a search, and the best of them in fresh episodes, which the search did not use."""
 
     config: SearchConfig
     trials: pd.DataFrame
     """One row per trial: trial, state (complete, pruned, fail or running), return of the last evaluation [m] (NaN
-    without), control steps, seconds, gait, pattern, seed, proposed settings by dotted name, why it failed. In addition
-    `curve`: control steps and return of each evaluation (E, 2); `policy` and `result`: policy file and its evaluation
-    `gait`."""
+    without one), control steps, seconds, gait, pattern, seed, proposed settings by dotted name, reason of a failure. In
+    addition `curve`: control steps and return of each evaluation (E, 2); `policy` and `result`: policy file and its
+    evaluation `gait`."""
     fresh: pd.DataFrame
     """One row per fresh episode of the best trials: trial, then the columns of `measure_runs`. The best trial comes
-    first; each has runs in the simulator of its training, and in Bullet if that is installed."""
+    first; each has runs in the training simulator, and in Bullet if it is installed."""
     importance: dict[str, float] = field(default_factory=dict)
-    """Importance of each field, all together 1; empty if too few trials are complete."""
+    """Importance of each field, with sum 1; empty if too few trials are complete."""
 
     def claimed(self, trial: int) -> float:
-        """Return the return of a trial that the search saw [m]."""
+        """Return a trial's return as the search measured it [m]."""
         return float(self.trials.set_index("trial")["return"][trial])
 
     def selection_bias(self) -> dict[int, tuple[Interval, Interval]]:
-        """Return, by trial, mean return of fresh episodes at home, and the claimed return less that [m]."""
+        """Return by trial the mean return of fresh episodes in the training simulator, and claimed minus fresh [m]."""
         biases = {}
         for number, runs in self.fresh.groupby("trial", sort=False):
             fresh, claimed = t_interval(runs[runs.world == runs.world.iloc[0]]["return"]), self.claimed(number)
@@ -57,7 +57,7 @@ class SearchResult:
 
 
 def sort_trials(trials: pd.DataFrame) -> pd.DataFrame:
-    """Return trials by their return, the highest first; those without a return last."""
+    """Return trials by decreasing return; trials without a return come last."""
     return trials.sort_values("return", ascending=False, kind="stable")
 
 
@@ -77,7 +77,7 @@ def collect_result(search: Search, report: Callable[[str], None]) -> SearchResul
         raise SurefootError(f"{search.folder}: no trial is complete; there is nothing to report yet")
     fresh = []
     with worker_pool():
-        for trial in sort_trials(complete)[:_TOP].itertuples():
+        for trial in sort_trials(complete)[:_NUM_BEST_TRIALS].itertuples():
             report(f"evaluating trial {trial.trial} in fresh episodes")
             fresh.append(_fresh_runs(search, trial.policy))
             fresh[-1].insert(0, "trial", trial.trial)
@@ -85,7 +85,7 @@ def collect_result(search: Search, report: Callable[[str], None]) -> SearchResul
 
 
 def _trial_row(search: Search, trial: Any, report: Callable[[str], None]) -> dict[str, Any]:
-    """Return the row of a trial of Optuna's study, as `SearchResult` has it, from its folder."""
+    """Return the row of a trial in `SearchResult.trials`, from Optuna's study and the trial's folder."""
     training = search.training(trial.number)
     policy = training.policy if training.policy.exists() else None
     rows, config = training.rows(), training.stored() if policy else None
@@ -103,7 +103,7 @@ def _trial_row(search: Search, trial: Any, report: Callable[[str], None]) -> dic
         "gait": result and result["gait"],
         "pattern": result and result["pattern"],
         "seed": config.seed if config else None,
-        **{name: _cell(get(config, name)) if config else None for name in search.config.space},
+        **{name: _cell(get_value(config, name)) if config else None for name in search.config.space},
         "why": trial.user_attrs.get("why", ""),
         "curve": curve,
         "policy": policy,
@@ -112,12 +112,12 @@ def _trial_row(search: Search, trial: Any, report: Callable[[str], None]) -> dic
 
 
 def _cell(value: Any) -> Any:
-    """Return a value as a cell of a table."""
+    """Return a value as a table cell."""
     return " ".join(map(str, value)) if isinstance(value, list) else value
 
 
 def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
-    """Run a policy in fresh episodes at home, and in Bullet on the robot of the data sheet; results are cached."""
+    """Run fresh episodes in the training simulator, and in Bullet on the data sheet's robot; results are cached."""
     reward = search.config.train.task.reward
 
     def run(world: str) -> pd.DataFrame:
@@ -126,7 +126,7 @@ def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
         def compute() -> Result:
             run = EvaluationRun.load(path, settings)
             task = replace(run.task, reward=reward, pushes=replace(run.task.pushes, enabled=False))
-            traces = run.run(task if world == "mujoco" else away_task(task), world)
+            traces = run.run(task if world == "mujoco" else data_sheet_task(task), world)
             return {"runs": measure_runs(traces).to_dict("list")}
 
         return pd.DataFrame(cached_result(path, f"fresh_{world}", settings, compute)["runs"])

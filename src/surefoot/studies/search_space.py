@@ -1,4 +1,4 @@
-"""The space of a search: fields of a training's configuration, each with a range or with choices."""
+"""Search space: fields of a training's configuration, each with a range or choices."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ if TYPE_CHECKING:
     from optuna.trial import Trial
 
 _SPACES = Path(__file__).parent / "spaces"
-_OWN = (
+_RESERVED_FIELDS = (
     *("name", "seed", "steps", "evaluate_every", "evaluation_episodes", "evaluation_reward"),
     *("checkpoint_every", "threads", "learning_threads"),
 )
-"""Fields that a search sets itself, the same for all trials but the seed."""
+"""Fields that the search sets itself; all but the seed are the same for all trials."""
 
 
 @dataclass(frozen=True)
 class Dimension:
-    """Values that a search may give a field."""
+    """Values of a field among which a search chooses."""
 
     low: float | None = None
     high: float | None = None
     log: bool = False
-    """Whether values are drawn on a logarithmic scale, of their magnitudes where all are negative."""
+    """Whether to sample on a logarithmic scale; negative ranges are sampled by magnitude."""
     int: bool = False
-    """Whether values are whole numbers."""
+    """Whether values are integers."""
     choices: tuple[Any, ...] = ()
-    """Values to choose from, in place of a range."""
+    """Values to choose from, instead of a range."""
     also: tuple[str, ...] = ()
-    """Other fields that take the same value."""
+    """Other fields that get the same value."""
 
     def __post_init__(self) -> None:
-        """Refuse what is neither a range nor choices."""
+        """Check that there is either a valid range or distinct choices."""
         if self.choices:
             if self.low is not None or self.high is not None or self.log or self.int:
-                raise SurefootError("it has choices and parts of a range (low, high, log, int); it takes one of both")
+                raise SurefootError("it has choices and parts of a range (low, high, log, int); use one or the other")
             texts = [json.dumps(choice) for choice in self.choices]
             if len(set(texts)) < len(texts):
-                raise SurefootError(f"choices is {quote(list(self.choices))}; it takes none twice")
+                raise SurefootError(f"choices is {quote(list(self.choices))}; each choice must be different")
             return
         if self.low is None or self.high is None:
             raise SurefootError("it needs low and high, or choices")
@@ -56,34 +56,34 @@ class Dimension:
                 f"low is {self.low:g} and high is {self.high:g}; with log both must be on one side of 0"
             )
         if self.int and (self.low % 1 or self.high % 1):
-            raise SurefootError(f"low is {self.low:g} and high is {self.high:g}; with int they must be whole numbers")
+            raise SurefootError(f"low is {self.low:g} and high is {self.high:g}; with int they must be integers")
 
     @property
     def samples(self) -> tuple[Any, ...]:
-        """Values that a configuration must accept for the field: the ends of the range, or all choices."""
+        """Values with which a space is checked: both ends of the range, or all choices."""
         ends = (self.low, self.high)
         return self.choices or (tuple(round(end or 0.0) for end in ends) if self.int else ends)
 
     @property
     def draws_magnitudes(self) -> bool:
-        """Whether magnitudes of negative values are drawn."""
+        """Whether negative values are sampled by magnitude."""
         return self.log and self.high is not None and self.high < 0
 
 
 Space = dict[str, Dimension]
-"""Dimensions of a search by the dotted names of fields, such as `ppo.policy_hidden.0`."""
+"""Dimensions of a search by the dotted name of their field, such as `ppo.policy_hidden.0`."""
 
 
 def load_space(path: Path | None, config: TrainConfig) -> Space:
-    """Read a space for a configuration.
+    """Read a search space for a configuration.
 
     Args:
-        path: YAML file; the spaces that ship, if None: for learning, with the weights of the task's own reward terms,
-            and for a reference of sinusoids if the task has one.
-        config: what holds for all that is not searched.
+        path: YAML file. Defaults to the spaces that ship: for learning, including the weights of the task's reward
+            terms, and for the sinusoidal reference if the task has one.
+        config: configuration with the values of all fields that are not searched.
 
     Raises:
-        SurefootError: a file that can't be read, an unknown field, a reversed range, or a value that is refused.
+        SurefootError: the file can't be read, a field is unknown, a range is reversed, or a value is invalid.
     """
     paths = [path] if path is not None else [_SPACES / "learning.yaml"]
     if path is None and config.task.reference.kind == "sine":
@@ -94,7 +94,7 @@ def load_space(path: Path | None, config: TrainConfig) -> Space:
             for name, entry in read_yaml(one).items():
                 term = str(name).removeprefix("task.reward.")
                 if path is None and term != name and term not in config.task.reward:
-                    continue  # Another task's term.
+                    continue  # a reward term of other tasks
                 with prefix_errors(name):
                     space[str(name)] = from_mapping(Dimension, entry)
             check_space(space, config)
@@ -102,26 +102,32 @@ def load_space(path: Path | None, config: TrainConfig) -> Space:
 
 
 def check_space(space: Space, config: TrainConfig) -> None:
-    """Refuse a space with unknown fields, or with values that a field can't have."""
+    """Check a space for unknown fields, and for values that a field can't have.
+
+    Raises:
+        SurefootError: with the first problem.
+    """
     if not space:
-        raise SurefootError("it is empty; a search takes 1 field or more")
+        raise SurefootError("it is empty; a search needs 1 field or more")
     names: set[str] = set()
     for name, dimension in space.items():
         for field in (name, *dimension.also):
-            if field in _OWN:
-                raise SurefootError(f"{field} is not searched: the search sets it itself, as it does {choices(_OWN)}")
+            if field in _RESERVED_FIELDS:
+                raise SurefootError(
+                    f"{field} is not searched: the search sets it itself, as it does {choices(_RESERVED_FIELDS)}"
+                )
             if field in names:
-                raise SurefootError(f"{field} is named twice; each field takes one entry")
+                raise SurefootError(f"{field} is listed twice; each field takes one entry")
             names.add(field)
         for value in dimension.samples:
-            put(config, {name: dimension}, {name: value})
+            with_values(config, {name: dimension}, {name: value})
 
 
-def put(config: TrainConfig, space: Space, values: Mapping[str, Any]) -> TrainConfig:
-    """Return a configuration with the values of some fields of a space.
+def with_values(config: TrainConfig, space: Space, values: Mapping[str, Any]) -> TrainConfig:
+    """Return a configuration with other values for some fields of a space.
 
     Raises:
-        SurefootError: no such field, or a value that is refused.
+        SurefootError: a field does not exist, or a value is invalid.
     """
     data = to_mapping(config)
     for name, value in values.items():
@@ -131,7 +137,7 @@ def put(config: TrainConfig, space: Space, values: Mapping[str, Any]) -> TrainCo
 
 
 def _set(data: Any, field: str, value: Any) -> None:
-    """Set the value at a dotted name in nested tables and lists; unknown fields are refused later."""
+    """Set the value at a dotted name in nested dictionaries and lists; unknown fields are detected later."""
     *parents, last = field.split(".")
     for part in parents:
         data = data.setdefault(part, {}) if isinstance(data, dict) else None
@@ -140,12 +146,12 @@ def _set(data: Any, field: str, value: Any) -> None:
     elif isinstance(data, dict):
         data[last] = value
     else:
-        count = f"; it has {len(data)} parts, from 0" if isinstance(data, list) else ""
+        count = f"; it has {len(data)} elements, numbered from 0" if isinstance(data, list) else ""
         raise SurefootError(f"{field} is not a field of a training's configuration{count}")
 
 
-def get(config: TrainConfig, field: str) -> Any:
-    """Return the value at a dotted name, as plain tables, lists and values.
+def get_value(config: TrainConfig, field: str) -> Any:
+    """Return the value at a dotted name, as plain dictionaries, lists and values.
 
     Raises:
         KeyError, IndexError, TypeError: no such field.
@@ -157,14 +163,14 @@ def get(config: TrainConfig, field: str) -> Any:
 
 
 def short_name(field: str) -> str:
-    """Return the dotted name of a field without its first part, as tables and figures show it."""
+    """Return the dotted name of a field without its first part, for tables and figures."""
     return field.removeprefix("task.").removeprefix("ppo.")
 
 
-def suggest(space: Space, trial: Trial) -> dict[str, Any]:
-    """Return the values of a trial, drawn by the sampler if it has none.
+def suggest_values(space: Space, trial: Trial) -> dict[str, Any]:
+    """Return the values of a trial; Optuna's sampler proposes those that the trial does not have yet.
 
-    Choices go to Optuna as JSON, since it takes no lists.
+    Choices are passed to Optuna as JSON, since it does not accept lists.
     """
     values: dict[str, Any] = {}
     for name, one in space.items():
@@ -178,11 +184,11 @@ def suggest(space: Space, trial: Trial) -> dict[str, Any]:
     return values
 
 
-def as_params(space: Space, config: TrainConfig) -> dict[str, Any]:
-    """Return the values of a configuration as parameters of Optuna; those outside of the space are left out."""
+def to_optuna_params(space: Space, config: TrainConfig) -> dict[str, Any]:
+    """Return the values of a configuration as Optuna parameters; values outside of the space are left out."""
     params = {}
     for name, dimension in space.items():
-        value = get(config, name)
+        value = get_value(config, name)
         if not dimension.choices:
             inside = is_number(value) and dimension.low <= value <= dimension.high
             value = -value if inside and dimension.draws_magnitudes else value

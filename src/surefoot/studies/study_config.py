@@ -1,4 +1,4 @@
-"""A study as data: groups of trainings that differ in some settings, several seeds each, at fixed places."""
+"""Configuration of a study: groups of trainings that differ in some settings, with several seeds each."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from surefoot.studies.hidden_robots import (
     check_identified,
     read_identified,
     robot_name,
-    take_identified,
+    select_identified,
 )
 from surefoot.studies.questions import Question
 from surefoot.studies.training import Training, base_config
@@ -28,101 +28,107 @@ from surefoot.task.config import preset_names
 
 @dataclass(frozen=True)
 class GroupConfig:
-    """Trainings that differ in nothing but the seed."""
+    """Group of trainings that differ only in their seed."""
 
     label: str = ""
-    """What figures and tables call the group; its name, if empty."""
+    """Label in figures and tables; defaults to the group's name."""
     train: dict[str, Any] = field(default_factory=dict)
-    """What differs from the study's training run: any field of TrainConfig."""
+    """Differences from the study's `train`: any field of TrainConfig."""
     identified: tuple[str, ...] = ()
-    """Physical parameters, or groups of them, that a training takes from the file of its identified robot; `train` may
-    state others. A group with any is trained for each robot, others once on the data sheet."""
+    """Physical parameters, or groups of them, that a training takes from the parameter file of its identified robot;
+    values in `train` take precedence. A group with any is trained for each robot, other groups once for the data
+    sheet."""
     seeds: tuple[Seed, ...] = ()
-    """A training for each; the study's, if empty."""
+    """One training per seed; defaults to the study's seeds."""
 
 
 @dataclass(frozen=True)
 class PublishedFinding:
-    """A published result that a study repeats."""
+    """Published result that a study reproduces."""
 
     groups: tuple[str, ...]
-    """The groups that repeat it: those of a set of `bars`, or of a pair of `compare`."""
+    """Groups that reproduce it: a set of `bars`, or a pair of `compare`."""
     text: str
 
 
 @dataclass(frozen=True)
 class StudyConfig:
-    """Groups of trainings, several seeds each, and how they are evaluated."""
+    """Groups of trainings with several seeds each, and their evaluations."""
 
     groups: dict[str, GroupConfig]
-    """The groups, by the names of their folders."""
+    """Groups by name, which is also the name of their folder."""
     name: str = "study"
-    """Name of the study; its folders carry it."""
+    """Name of the study and its folders."""
     task: str = "trot"
-    """Base of every group: a preset, or the path of a task's file, counted from the study's file."""
+    """Task of every group: a preset, or the path of a task file relative to the study's file."""
     seeds: tuple[Seed, ...] = (0, 1, 2)
-    """A training for each, in every group."""
+    """Seeds; every group has one training per seed."""
     train: dict[str, Any] = field(default_factory=dict)
-    """Settings of all groups over those of the task: any field of TrainConfig."""
+    """Settings of all groups, which override the task's: any field of TrainConfig."""
     evaluate: tuple[str, ...] = ()
     """Kinds of evaluation of every trained policy."""
     compare: tuple[tuple[str, str], ...] = ()
-    """Pairs of groups whose difference is reported, the second against the first; every pair, if empty."""
+    """Pairs of groups whose difference is reported, the second minus the first; defaults to all pairs."""
     primary: str = "nominal_return"
-    """The figure that the comparisons are about; p values of each figure are adjusted for their number."""
+    """Primary metric of the comparisons. The p values of each metric are adjusted for the number of pairs."""
     top: Annotated[int, Within(1, 1000)] = 3
-    """How many policies of a group, those with the highest return in their own simulator, are its best."""
+    """Number of best policies of a group, by return in the training simulator."""
     bars: dict[str, tuple[str, ...]] = field(default_factory=dict)
-    """Groups whose reality gaps are drawn side by side, by the name of the figure."""
+    """Groups whose reality gaps are drawn in one figure, by the figure's name."""
     findings: tuple[PublishedFinding, ...] = ()
-    """Published results, reported beside the groups that repeat them."""
+    """Published results, which are reported with the groups that reproduce them."""
     robots: HiddenRobots | None = None
-    """Robots that are identified, and that policies run on; none by default."""
+    """Hidden robots to identify and to evaluate policies on; none by default."""
     questions: dict[str, Question] = field(default_factory=dict)
-    """Questions on groups and robots by name, each a family of its own."""
+    """Questions about groups and robots by name, each a family of comparisons of its own."""
     primary_questions: tuple[str, ...] = ()
-    """The claims that the study is about."""
+    """Names of the study's primary claims."""
     least_home_return: Annotated[float, Within(-1e6, 1e6)] = 0.0
-    """Mean return at home [m] below which a group did not learn, and leaves claims on the gap."""
+    """Minimum mean return in the training simulator [m]. A group below it did not learn, and is excluded from claims
+    about the gap."""
 
     def __post_init__(self) -> None:
-        """Refuse groups, seeds or sets that do not fit together."""
+        """Check that groups, seeds, sets and questions fit together.
+
+        Raises:
+            SurefootError: with the first problem.
+        """
         if not self.groups:
-            raise SurefootError("groups is empty; a study has 1 group or more")
+            raise SurefootError("groups is empty; a study needs 1 group or more")
         for name in (self.name, *self.groups, *self.bars):
             check_name("name", name)
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
-            raise SurefootError(f"seeds is {list(self.seeds)}; it takes 1 or more, none twice")
+            raise SurefootError(f"seeds is {list(self.seeds)}; it needs 1 or more, all different")
         for name, group in self.groups.items():
             if len(set(group.seeds)) < len(group.seeds):
-                raise SurefootError(f"groups.{name}.seeds is {list(group.seeds)}; none may be given twice")
+                raise SurefootError(f"groups.{name}.seeds is {list(group.seeds)}; all must be different")
         self._check_robots()
         for pair in self.compare:
             self._check_names("compare", pair)
         findings = {f"findings[{number}]": finding.groups for number, finding in enumerate(self.findings)}
         for where, groups in ({f"bars.{name}": groups for name, groups in self.bars.items()} | findings).items():
             if not groups or len(set(groups)) < len(groups):
-                raise SurefootError(f"{where} is {list(groups)}; it takes 1 group or more, none twice")
+                raise SurefootError(f"{where} is {list(groups)}; it needs 1 group or more, all different")
             self._check_names(where, groups)
         reported = [set(groups) for groups in (*self.bars.values(), *self.pairs)]
         for where, groups in findings.items():
             if set(groups) not in reported:
                 raise SurefootError(
-                    f"{where}: {choices(groups)} are together in no set of bars and in no pair of compare, so it would "
-                    "not be reported"
+                    f"{where}: {choices(groups)} form neither a set of bars nor a pair of compare, so the finding "
+                    "would not be reported"
                 )
 
     def _check_robots(self) -> None:
         for name, group in self.groups.items():
             if group.identified and self.robots is None:
-                raise SurefootError(f"groups.{name}.identified is given; the study has no robots")
+                raise SurefootError(f"groups.{name}.identified needs robots, and the study has none")
             check_identified(group.identified, f"groups.{name}.identified")
         if self.questions and self.robots is None:
-            raise SurefootError("questions are about robots, and the study has none; compare takes pairs of groups")
+            raise SurefootError("questions needs robots, and the study has none; compare takes pairs of groups")
         if self.robots is not None and (self.evaluate or self.compare or self.bars or self.findings):
             raise SurefootError(
-                "robots: runs on them are the evaluation, and questions the comparisons; leave out evaluate, compare, "
-                "bars and findings"
+                "robots: a study on robots is evaluated by runs on them, and compared by questions; leave out "
+                "evaluate, compare, bars and findings"
             )
         for name, question in self.questions.items():
             with prefix_errors(f"questions.{name}"):
@@ -131,7 +137,7 @@ class StudyConfig:
         for name in self.primary_questions:
             if name not in claims:
                 raise SurefootError(
-                    f"primary_questions: '{name}' is no question that claims something; {suggest(name, claims)}"
+                    f"primary_questions: '{name}' is not a question with a claim; {suggest(name, claims)}"
                 )
 
     def _check_names(self, where: str, groups: tuple[str, ...]) -> None:
@@ -141,7 +147,7 @@ class StudyConfig:
 
     @property
     def hidden(self) -> HiddenRobots:
-        """The robots of a study that has some."""
+        """Hidden robots of a study that has them."""
         assert self.robots is not None
         return self.robots
 
@@ -151,12 +157,12 @@ class StudyConfig:
         return self.compare or tuple(itertools.combinations(self.groups, 2))
 
     def with_steps(self, steps: int) -> StudyConfig:
-        """Return the study with a number of control steps for every training, evaluated halfway and at the end."""
+        """Return the study with another number of control steps per training, evaluated halfway and at the end."""
         groups = {name: replace(group, train={**group.train, "steps": steps}) for name, group in self.groups.items()}
         return replace(self, groups=groups, train={**self.train, "evaluate_every": max(1, steps // 2)})
 
     def trained_on(self, group: str) -> tuple[int | None, ...]:
-        """Return the seeds of the robots that a group is trained for; None for the data sheet."""
+        """Return the seeds of the robots for which a group is trained; None for the robot of the data sheet."""
         return self.robots.seeds if self.robots is not None and self.groups[group].identified else (None,)
 
     def seeds_of(self, group: str) -> tuple[int, ...]:
@@ -164,15 +170,15 @@ class StudyConfig:
         return self.groups[group].seeds or self.seeds
 
     def label(self, group: str) -> str:
-        """Return what figures and tables call a group."""
+        """Return a group's label in figures and tables."""
         return self.groups[group].label or group
 
 
 def load_study(path: Path) -> StudyConfig:
-    """Read a study's file; paths in it count from the file's folder.
+    """Read a study file; paths in it are relative to its folder.
 
     Raises:
-        SurefootError: it can't be read, or does not fit.
+        SurefootError: the file can't be read or is invalid.
     """
     data = {"name": path.stem, **read_yaml(path)}
     with prefix_errors(path):
@@ -199,22 +205,22 @@ def load_study(path: Path) -> StudyConfig:
 
 
 def _with_robot(robots: HiddenRobots, robot: str, group: str) -> HiddenRobots:
-    """Return the hidden robots with their description, the same for all groups."""
+    """Return the hidden robots with their robot description, which must be the same in all groups."""
     if robots.robot and robots.robot != robot:
-        raise SurefootError(f"groups.{group}: its robot is {robot}, and the hidden ones are {robots.robot}")
+        raise SurefootError(f"groups.{group}: its robot is {robot}, and the hidden robots are {robots.robot}")
     check_ranges(robots.ranges, RobotDescription.load(robot))
     return replace(robots, robot=robot)
 
 
 def _with_paths(train: dict[str, Any], folder: Path, robot: str) -> dict[str, Any]:
-    """Return settings with named tables of ranges as their rows, and robots and files of references by whole paths.
+    """Return settings with ranges instead of names of tables, and absolute paths of robots and reference files.
 
-    The ranges are those for the robot, if the settings name no other.
+    The ranges are for `robot` unless the settings name another.
     """
     task = train.get("task")
     if not isinstance(task, Mapping):
         return train
-    # A named table of ranges replaces every range there was.
+    # A named table replaces all other ranges.
     own = task.get("robot")
     if isinstance(own, str):
         robot = RobotDescription.resolve(own, folder)
@@ -228,41 +234,41 @@ def _with_paths(train: dict[str, Any], folder: Path, robot: str) -> dict[str, An
 
 
 def group_config(study: StudyConfig, group: str, identified: ParamsFile | None = None) -> TrainConfig:
-    """Return the training of a group: its own settings over the study's, over the task's; one thread.
+    """Return the training configuration of a group, with one thread.
+
+    The group's settings override the study's, and these the task's.
 
     Args:
         study: the study.
         group: name of the group.
-        identified: file of the robot that it is trained for. Of what the group takes from it, parameters that settings
-            state stay as stated.
+        identified: parameter file of the robot for which the group is trained; parameters in the settings take
+            precedence.
 
     Raises:
-        SurefootError: settings that do not fit.
+        SurefootError: a setting is invalid.
     """
     config = replace(base_config(study.task), name=group)
     for where, data in (("train", study.train), (f"groups.{group}.train", study.groups[group].train)):
         config = from_mapping(TrainConfig, data, where, base=config)
     if identified is None:
         return config
-    params = {**take_identified(identified, study.groups[group].identified), **config.task.params}
+    params = {**select_identified(identified, study.groups[group].identified), **config.task.params}
     return replace(config, task=replace(config.task, params=params, params_source=identified.source))
 
 
 def study_runs(
     study: StudyConfig, root: Path, only: tuple[str, ...] = (), robots: Path | None = None
 ) -> list[Training]:
-    """Return the trainings of some groups, or of all, in the folder `root`.
-
-    They go seed by seed, so that a study that is stopped has runs of every group.
+    """Return the training runs of a study, seed by seed, so that an interrupted study has runs of every group.
 
     Args:
         study: the study.
         root: folder of the runs.
-        only: the groups; all, if empty.
-        robots: folder with files of identified robots; robots without a file have no trainings.
+        only: names of groups; defaults to all.
+        robots: folder with parameter files of identified robots; robots without a file have no trainings.
 
     Raises:
-        SurefootError: no such group, or a file that does not fit.
+        SurefootError: a group does not exist, or a file is invalid.
     """
     for name in only:
         if name not in study.groups:
@@ -283,7 +289,7 @@ def study_runs(
 
 
 def training_names(study: StudyConfig) -> list[str]:
-    """Return the names of all trainings of a study, also of robots that are not identified yet."""
+    """Return the names of all trainings of a study, including those for robots that are not identified yet."""
     return [
         Training(group, replace(base, seed=seed), Path(), "" if robot is None else robot_name(robot)).name
         for group in study.groups

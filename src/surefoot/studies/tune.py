@@ -1,9 +1,9 @@
-"""Tuning of handcrafted gaits: CMA-ES over foot trajectories, and over the gains of Raibert's controller.
+"""Tuning of handcrafted gaits with CMA-ES: foot trajectories, and the gains of Raibert's controller.
 
-Covariance matrix adaptation (Hansen 2016, "The CMA Evolution Strategy: A Tutorial", as the package `cma` has it)
-searches for the least mean power at a given speed without falls. All candidates of a generation run side by side, each
-on some robots of one world. Lengths are searched in parts of the legs' reach, and frequencies in multiples of
-sqrt(g / reach) / (2 pi), so that the ranges hold for robots of other sizes too.
+Covariance matrix adaptation (Hansen 2016, "The CMA Evolution Strategy: A Tutorial", in the package `cma`) minimizes the
+mean power at a required speed without falls. All candidates of a generation run in parallel, each on several robots of
+one simulation. Lengths are searched relative to the legs' reach, and frequencies in multiples of
+sqrt(g / reach) / (2 pi), so that the ranges apply to robots of any size.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ from surefoot.world.interface import SimulationFactory
 
 Gait = Literal["trot", "bound", "gallop", "free"]
 Ranges = dict[str, tuple[float, float, float]]
-"""Least, greatest and initial value of each parameter that is searched."""
+"""Minimum, maximum and initial value of each searched parameter."""
 
-PATH: Ranges = {
+PATH_RANGES: Ranges = {
     "frequency": (1.0, 9.0, 2.5),
     "duty_factor": (0.2, 0.8, 0.5),
     "stride": (0.5, 3.0, 1.3),
@@ -51,40 +51,42 @@ PATH: Ranges = {
     "back_offset": (-0.3, 0.3, 0.0),
     "depth": (0.0, 0.15, 0.02),
 }
-"""Foot trajectories. `stride` is how far feet go backward in stance, over the distance of the body in that time;
-`frequency` is in multiples of the legs' natural one; all other lengths are in parts of the legs' reach."""
-PHASES: dict[Gait, Ranges] = {
+"""Ranges of the foot trajectories. `stride` is the distance that feet move backward in stance, relative to the distance
+of the body in that time; `frequency` is relative to the legs' natural frequency; lengths are relative to the legs'
+reach."""
+PHASE_RANGES: dict[Gait, Ranges] = {
     "trot": {},
     "bound": {"back_phase": (0.25, 0.75, 0.5)},
     "gallop": {"back_phase": (0.3, 0.7, 0.5), "front_lead": (0.08, 0.22, 0.12), "back_lead": (-0.22, 0.22, 0.12)},
     "free": {"back_phase": (0.0, 1.0, 0.5), "front_lead": (-0.5, 0.5, 0.5), "back_lead": (-0.5, 0.5, -0.5)},
 }
-"""Phases that are searched [cycles]: of the hind legs after the fore legs, of the right ones after the left; of a
-gallop from the middle of one pair to that of the other, so that pairs do not mix, else from left to left."""
-GAINS: Ranges = {
+"""Ranges of phases [cycles]: lag of the hind legs behind the fore legs, and of the right legs behind the left. A
+gallop's hind phase is measured between the middles of both pairs, so that pairs do not mix; otherwise between the left
+legs."""
+GAIN_RANGES: Ranges = {
     "speed": (-0.15, 0.3, 0.0),
     "pitch": (0.0, 3.0, 0.3),
     "pitch_rate": (0.0, 0.3, 0.03),
     "roll": (0.0, 3.0, 0.3),
     "roll_rate": (0.0, 0.3, 0.03),
 }
-"""Gains of Raibert's controller."""
-MAX_STROKE = 0.5
-"""In parts of the reach, so that a start at a high speed is in reach."""
-FEEDBACK = {
+"""Ranges of the gains of Raibert's controller."""
+MAX_STROKE_RATIO = 0.5
+"""Maximum stroke relative to the legs' reach, which keeps starts at high speeds feasible."""
+FEEDBACK_BOUNDS = {
     "rad": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.25, 0.25)),
     "1": FeedbackConfig(swing=(-0.25, 0.25), extension=(-0.1, 0.1)),
 }
-"""Bounds of the controller's feedback [rad]; the paper's for the learned trot."""
+"""Bounds of the controller's feedback by the unit of leg extension; the paper's bounds for the learned trot."""
 _SPEED_PENALTY = 300.0
-"""Cost [W] of a speed of zero; of others in proportion to the missing speed."""
+"""Cost [W] at zero speed; it is proportional to the missing speed."""
 _FALL_PENALTY = 1000.0
-"""Cost [W] of a fall, and once more in proportion to the missing time."""
-_TRIES = 200
+"""Cost [W] of a fall; up to as much again is added in proportion to the missing time."""
+_MAX_RESAMPLES = 200
 _FINAL_EPISODES = 20
-"""Episodes of each candidate of the last selection, at least."""
-_LEAST_GAIN = 0.02
-"""Part of the cost that a search must gain within its patience."""
+"""Minimum number of episodes per candidate in the final selection."""
+_MIN_IMPROVEMENT = 0.02
+"""Relative decrease of the cost below which a search has converged."""
 
 
 @dataclass(frozen=True)
@@ -97,40 +99,40 @@ class TuneConfig:
     speed: Annotated[float, Within(0.05, 10)] = 0.6
     """Speed that the gait must reach [m/s]."""
     raibert: bool = False
-    """Tune Raibert's controller too."""
+    """Also tune Raibert's controller."""
     robot: str = DEFAULT_ROBOT
     """Name of the robot, or the folder of its description."""
     generations: Annotated[int, Within(1, 10_000)] = 40
-    """Generations of the search, at most."""
+    """Maximum number of generations."""
     patience: Annotated[int, Within(0, 10_000)] = 0
-    """Stop when the least cost of the last PATIENCE generations is less than 2 % below that of as many before; 0 never
-    stops early."""
+    """Stop if the minimum cost decreases by less than 2 % from PATIENCE generations to the next PATIENCE; 0 never stops
+    early."""
     population: Annotated[int, Within(4, 1000)] = 16
-    """Candidates of a generation."""
+    """Candidates per generation."""
     starts: Annotated[int, Within(1, 100)] = 3
-    """Episodes of each candidate, from different starts."""
+    """Episodes per candidate, from different starts."""
     duration: Annotated[float, Within(0.5, 60)] = 4.0
     """Length of an episode [s]."""
-    sigma: Annotated[float, Within(0, 1, above=True)] = 0.2
-    """First standard deviation, in parts of each parameter's range."""
+    sigma: Annotated[float, Within(0, 1, exclusive=True)] = 0.2
+    """Initial standard deviation, relative to each parameter's range."""
     seed: Seed = 0
     threads: Threads = 0
-    """Threads of the simulation; 0 means one a core. The result does not depend on it."""
+    """Threads of the simulation; 0 means one per core. The result does not depend on it."""
 
     @property
     def ranges(self) -> Ranges:
-        """Ranges of the parameters that are searched."""
-        return {**PATH, **PHASES[self.gait], **(GAINS if self.raibert else {})}
+        """Ranges of the searched parameters."""
+        return {**PATH_RANGES, **PHASE_RANGES[self.gait], **(GAIN_RANGES if self.raibert else {})}
 
 
 def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: float) -> FootConfig:
     """Return foot trajectories.
 
     Args:
-        values: the parameters by name, in the units of `PATH` and `PHASES`.
-        gait: the gait, which has phases in common.
+        values: parameters by name, in the units of `PATH_RANGES` and `PHASE_RANGES`.
+        gait: the gait, which determines the phases that are not searched.
         speed: speed of the gait [m/s].
-        reach: longest distance of a foot from its motor axis [m].
+        reach: maximum distance of a foot from its motor axis [m].
     """
     frequency = values["frequency"] * math.sqrt(GRAVITY / reach) / (2 * math.pi)
     fore, back, hind = (values.get(name, 0.0) for name in ("front_lead", "back_lead", "back_phase"))
@@ -147,7 +149,7 @@ def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: fl
 
     return FootConfig(
         frequency=frequency,
-        stroke=min(values["stride"] * speed * values["duty_factor"] / frequency, MAX_STROKE * reach),
+        stroke=min(values["stride"] * speed * values["duty_factor"] / frequency, MAX_STROKE_RATIO * reach),
         clearance=reach * values["clearance"],
         duty_factor=values["duty_factor"],
         phase=dict(zip(legs, phase, strict=True)),
@@ -158,37 +160,37 @@ def foot_config(values: Mapping[str, float], gait: Gait, speed: float, reach: fl
 
 
 def curve_path(gait: Path) -> Path:
-    """Return the file of the curve of a gait's tuning."""
+    """Return the CSV file with the tuning curve of a gait file."""
     return gait.with_name(f"{gait.stem}-tuning.csv")
 
 
 def read_curve(gait: Path) -> list[dict[str, str]]:
-    """Return the rows of a gait's tuning, one a generation; none without a file."""
+    """Return the tuning curve of a gait file, one row per generation; empty without a curve."""
     path = curve_path(gait)
     return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines())) if path.exists() else []
 
 
 def has_converged(curve: Sequence[float], patience: int) -> bool:
-    """Return whether the least cost of the last generations is less than 2 % below that of as many before.
+    """Return whether the minimum cost of the last generations is less than 2 % below that of as many before.
 
     Args:
-        curve: least cost of each generation (G,) [W].
-        patience: how many are compared, above 0.
+        curve: minimum cost of each generation (G,) [W].
+        patience: number of generations that are compared, above 0.
     """
     before = curve[-2 * patience : -patience]
-    return len(before) == patience and min(curve[-patience:]) > (1.0 - _LEAST_GAIN) * min(before)
+    return len(before) == patience and min(curve[-patience:]) > (1.0 - _MIN_IMPROVEMENT) * min(before)
 
 
 class Tuner:
-    """A tuning; `step` runs a generation, `gait` is the best gait so far.
+    """Tuner of a gait: `step` runs one generation, `gait` returns the best gait so far.
 
     Args:
-        config: its settings.
-        make_world: makes the simulation.
-        start: initial parameters by name, over the default ones; clipped to the ranges.
+        config: settings.
+        make_world: creates the simulation.
+        start: initial parameters by name, which override the defaults; clipped to the ranges.
 
     Raises:
-        SurefootError: a robot whose legs are not fore and hind, left and right, or a start out of the legs' reach.
+        SurefootError: the robot lacks the legs of `FEET`, or the start is out of the legs' reach.
     """
 
     def __init__(
@@ -197,9 +199,9 @@ class Tuner:
         self.config, self.ranges, self.robot = config, config.ranges, RobotDescription.load(config.robot)
         if set(self.robot.leg_names) != set(FEET):
             raise SurefootError(
-                f"{self.robot.name} has legs {choices(self.robot.leg_names)}; gaits are of {choices(FEET)}"
+                f"{self.robot.name} has legs {choices(self.robot.leg_names)}; handcrafted gaits need {choices(FEET)}"
             )
-        self.feedback = FEEDBACK[self.robot.leg_geometry.units[-1]]
+        self.feedback = FEEDBACK_BOUNDS[self.robot.leg_geometry.units[-1]]
         level = [0.0] * (len(self.robot.coordinates) - 1)
         straight = self.robot.pose_angles(*level, self.robot.leg_space["extension"][1])
         feet = self.robot.leg_geometry.foot_in_plane(straight[self.robot.leg_motor_index])
@@ -210,25 +212,25 @@ class Tuner:
                 raise SurefootError(
                     f"parameter {name} of the gait to start from is {quote(value)}; it must be a number"
                 )
-        # A start in reach at one speed may be out of reach at another one: then it moves towards the default gait.
-        for share in np.linspace(1.0, 0.0, 21).tolist():
+        # A start that is feasible at one speed may be out of reach at another: move it towards the default gait.
+        for fraction in np.linspace(1.0, 0.0, 21).tolist():
             self.best = {
-                name: default + share * (min(max(start.get(name, default), low), high) - default)
+                name: default + fraction * (min(max(start.get(name, default), low), high) - default)
                 for name, (low, high, default) in self.ranges.items()
             }
             """Parameters of the best gait so far."""
-            if not self._refusal(self.best):
+            if not self._infeasibility(self.best):
                 break
         self.cost = math.inf
         self.curve: list[float] = []
-        """Least cost of each generation [W]."""
-        self._firsts: list[dict[str, float]] = []
+        """Minimum cost of each generation [W]."""
+        self._generation_best: list[dict[str, float]] = []
         self._low, high, _ = np.array(list(self.ranges.values())).T
         self._width = high - self._low
         inside = np.clip((np.array(list(self.best.values())) - self._low) / self._width, 0.02, 0.98)
         seed = int(generator(config.seed, "tune").integers(1, 2**31))
         options = {"bounds": [0, 1], "popsize": config.population, "seed": seed, "verbose": -9}
-        # The import takes seconds; errors of the user come before.
+        # The import takes seconds; user errors are raised first.
         import cma
 
         self._search = cma.CMAEvolutionStrategy(inside, config.sigma, options)
@@ -236,11 +238,11 @@ class Tuner:
         steps = round(config.duration / float(task.nominal(self.robot).control_step[0]))
         task = replace(task, max_steps=max(steps, 1))
         self.steps = count * task.max_steps
-        """Control steps of a generation, if no robot falls."""
+        """Control steps of a generation without falls."""
         self._env = LocomotionEnv(task, count, make_world, config.seed, autoreset=False, threads=config.threads)
 
     def gait(self) -> HandcraftedGait:
-        """Return the best gait so far, with its settings and parameters."""
+        """Return the best gait so far, with the tuning's settings and its parameters."""
         config = self.config
         foot = foot_config(self.best, config.gait, config.speed, self.reach)
         name = f"{config.gait}-{round(100 * config.speed)}{'-raibert' if config.raibert else ''}"
@@ -254,42 +256,42 @@ class Tuner:
             feedback=self.feedback,
             rest=self.robot.rest,
         )
-        gains = RaibertConfig(**{name: self.best[name] for name in GAINS}) if config.raibert else None
+        gains = RaibertConfig(**{name: self.best[name] for name in GAIN_RANGES}) if config.raibert else None
         return HandcraftedGait(task, gains, {**to_mapping(config), "parameters": dict(self.best)})
 
     def step(self) -> None:
-        """Run a generation."""
+        """Run one generation."""
         points = [self._within_reach(point) for point in self._search.ask()]
         candidates = [self._values(point) for point in points]
         costs = self.costs(candidates).mean(axis=1)
         self._search.tell(points, costs.tolist())
         first = int(np.argmin(costs))
-        self._firsts.append(candidates[first])
+        self._generation_best.append(candidates[first])
         self.curve.append(float(costs[first]))
         if costs[first] < self.cost:
             self.cost, self.best = float(costs[first]), candidates[first]
 
     def finish(self) -> None:
-        """Select among the best candidates of the last generations by their mean cost in episodes from other starts.
+        """Select among the best candidates of the last generations by their mean cost in new episodes.
 
-        This removes the selection bias of the least of many noisy costs, and shows rare falls.
+        This removes the selection bias of the minimum of many noisy costs, and reveals rare falls.
         """
-        finalists = [*self._firsts[-self.config.population :], self.best]
+        finalists = [*self._generation_best[-self.config.population :], self.best]
         finalists = (finalists * self.config.population)[-self.config.population :]
         rounds = math.ceil(_FINAL_EPISODES / self.config.starts)
         costs = np.mean([self.costs(finalists).mean(axis=1) for _ in range(rounds)], axis=0)
         self.cost, self.best = float(costs.min()), finalists[int(np.argmin(costs))]
 
     def costs(self, candidates: Sequence[Mapping[str, float]]) -> Array:
-        """Return the costs of all episodes (C, starts) [W]: power, and penalties for missing speed or time."""
+        """Return the costs of all candidates' episodes (C, starts) [W]: power, and penalties for low speed or falls."""
         config, env, starts = self.config, self._env, self.config.starts
         each = [self._paths(values) for values in candidates for _ in range(starts)]
-        paths = FootPaths.stacked(each)
+        paths = FootPaths.stack(each)
         env.gait = HybridGait(self.robot, FootReference(paths), *self.feedback.bounds(self.robot.coordinates))
         policy: OpenLoop | RaibertController = OpenLoop(len(env.gait.action_names))
         if config.raibert:
             gains: dict[str, Any] = {
-                name: np.repeat([values[name] for values in candidates], starts)[:, None] for name in GAINS
+                name: np.repeat([values[name] for values in candidates], starts)[:, None] for name in GAIN_RANGES
             }
             policy = RaibertController(self.robot, paths, RaibertConfig(**gains))
         observation, _ = env.reset()
@@ -300,16 +302,18 @@ class Tuner:
         )
 
     def _within_reach(self, point: Array) -> Array:
-        """Return a point of the search, or another one in its place if feet would leave the legs' reach."""
-        for _ in range(_TRIES):
-            reason = self._refusal(self._values(point))
+        """Return a point of the search; resample it while feet would leave the legs' reach."""
+        for _ in range(_MAX_RESAMPLES):
+            reason = self._infeasibility(self._values(point))
             if not reason:
                 return point
             point = self._search.ask(1)[0]
-        raise SurefootError(f"{_TRIES} gaits in a row were refused, the last one because {reason}; ask for less speed")
+        raise SurefootError(
+            f"{_MAX_RESAMPLES} gaits in a row were infeasible, the last one because {reason}; choose a lower speed"
+        )
 
-    def _refusal(self, values: Mapping[str, float]) -> str:
-        """Return why a gait is out of the legs' reach; empty if it is not."""
+    def _infeasibility(self, values: Mapping[str, float]) -> str:
+        """Return the reason that a gait is out of the legs' reach, or an empty string."""
         try:
             HybridGait(self.robot, FootReference(self._paths(values)), *self.feedback.bounds(self.robot.coordinates))
         except SurefootError as error:

@@ -1,7 +1,7 @@
-"""Many trainings on Ray, a few at a time: on this machine, or on a cluster, where those of lost computers start again.
+"""Parallel trainings with Ray, on this machine or on a cluster, where trainings of lost computers are restarted.
 
-Each worker is a process that trains for about a second a call and reports its progress. So all decisions, to go on, to
-prune or to stop, are made in the process that called, between two updates of a policy.
+Each worker is a process that trains for about a second per call and reports its progress. All decisions to continue,
+prune or stop are thus made in the calling process, between two updates of a policy.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ if TYPE_CHECKING:
     from surefoot.learn.run_folder import RunFolder
     from surefoot.learn.training_loop import TrainingLoop
 
-PATIENCE = 120.0
-"""How long [s] a worker waits for another process to leave a folder: one that lost its parent may need an update."""
-TRIES = 3
-"""Times that a training is begun, if its processes die, before it is given up."""
+LOCK_TIMEOUT = 120.0
+"""Time [s] for which a worker waits for a folder's lock: a process whose parent died may first finish an update."""
+MAX_ATTEMPTS = 3
+"""Number of times that a training is started if its process dies, before it counts as failed."""
 _REPORT_PERIOD = 1.0
-"""Time [s] after which a worker reports, at the next end of an update."""
+"""Time [s] after which a worker reports, at the end of the current update."""
 _CONNECT_TIMEOUT = 5.0
-"""How long [s] a cluster may take to answer."""
-_FILES = ("config.yaml", "run.json", "figures.jsonl", "policy.onnx")
-"""Files that a computer without the shared folder sends back beside the copies of robot and table; the policy, which
-marks the end, comes last."""
+"""Time [s] within which a cluster must answer."""
+_RETURNED_FILES = ("config.yaml", "run.json", "figures.jsonl", "policy.onnx")
+"""Files that a computer without the shared folder sends back, in addition to the copies of robot and reference table.
+The policy comes last, because it marks a finished run."""
 _SETTINGS = {
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",  # no warning about graphics cards
@@ -56,31 +56,31 @@ class ProgressReport:
     speed: float | None = None
     """Mean speed of episodes that ended in the last update [m/s]; None if none did."""
     evaluations: tuple[dict[str, Any], ...] = ()
-    """Evaluations since the last report; all so far, when the training begins."""
+    """Evaluations since the last report; in the first report, all so far."""
     finished: bool = False
-    """Whether it is over: its policy is exported."""
+    """Whether the training is finished and its policy exported."""
     files: dict[str, bytes] = field(default_factory=dict, repr=False)
 
 
 @dataclass
 class TrainingsOutcome:
-    """Which trainings were finished, and which failed."""
+    """Finished and failed trainings."""
 
     done: list[str] = field(default_factory=list)
-    """Names of those that are over."""
+    """Names of the finished trainings."""
     failed: dict[str, str] = field(default_factory=dict)
-    """Error of each that failed, in one line, by name."""
+    """Errors of the failed trainings, in one line each, by name."""
     stopped: bool = False
-    """Whether a stop was requested, with trainings left."""
+    """Whether a stop was requested before all were finished."""
 
 
 class Worker:
-    """A process that trains: one training after another, each in its folder.
+    """Worker process that runs one training after another, each in its folder.
 
     Args:
-        folder: the folder that paths count from.
-        plugins: plug-ins whose terms the trainings use.
-        words: the command's words, which run folders name; those of this process, if None.
+        folder: working directory, to which paths are relative.
+        plugins: plug-ins with terms that the trainings use.
+        words: words of the command line, which run folders store; defaults to this process's.
     """
 
     def __init__(self, folder: str, plugins: Sequence[Plugin] = (), words: Sequence[str] | None = None) -> None:
@@ -92,23 +92,23 @@ class Worker:
         self._loop: TrainingLoop | None = None
 
     def begin(self, training: Training) -> ProgressReport:
-        """Begin a training, or go on from the state of its folder.
+        """Begin a training, or resume it from its folder.
 
         Raises:
-            SurefootError: the folder is another training's, in use, or damaged.
+            SurefootError: the folder has another training, is in use, or is damaged.
         """
         from surefoot.learn.folder_lock import folder_lock
         from surefoot.learn.run_folder import RunFolder
         from surefoot.learn.training_loop import TrainingLoop
         from surefoot.world.registry import find_world
 
-        # Free the training before, which a `PpoLearner` hides from the collector.
+        # Free the previous training: `PpoLearner` freezes its objects for the garbage collector.
         gc.unfreeze()
         gc.collect()
         self._training = training
         with describe_os_errors(training.path, "made"):
             training.path.mkdir(parents=True, exist_ok=True)
-        self._lock.enter_context(folder_lock(training.path, PATIENCE))
+        self._lock.enter_context(folder_lock(training.path, LOCK_TIMEOUT))
         training.check()
         state = training.state
         if state == "new":
@@ -128,15 +128,15 @@ class Worker:
         assert self._loop is not None
         until = time.monotonic() + _REPORT_PERIOD
         while True:
-            figures, evaluation = self._loop.step()
+            metrics, evaluation = self._loop.step()
             if self._loop.finished:
                 return self.end(export=True)
             if evaluation is not None or time.monotonic() > until:
-                speed = None if math.isnan(figures.speed_mean) else figures.speed_mean
-                return ProgressReport(figures.steps, speed, () if evaluation is None else (vars(evaluation),))
+                speed = None if math.isnan(metrics.speed_mean) else metrics.speed_mean
+                return ProgressReport(metrics.steps, speed, () if evaluation is None else (vars(evaluation),))
 
     def end(self, export: bool) -> ProgressReport:
-        """Export the policy, which marks the training as finished, or save the state to go on another time."""
+        """Export the policy, which marks the training as finished, or save a checkpoint to resume later."""
         assert self._loop is not None
         loop, self._loop = self._loop, None
         if not (export and self._training.trial):
@@ -152,17 +152,21 @@ class Worker:
         if self._training.trial:
             shutil.rmtree(folder.checkpoints, ignore_errors=True)
         self._lock.close()
-        names = (*_FILES, *copied_files(folder.path))
+        names = (*_RETURNED_FILES, *copied_files(folder.path))
         files = {name: (folder.path / name).read_bytes() for name in names}
         return ProgressReport(folder.rows()[-1]["steps"], None, tuple(folder.evaluations()), True, files)
 
 
 @contextlib.contextmanager
 def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
-    """Start Ray on this machine for a number of workers, 0 for one a core, or join the cluster at HOST:PORT.
+    """Start Ray on this machine, or join the cluster at the address HOST:PORT.
+
+    Args:
+        address: address of the cluster; None for this machine.
+        workers: number of workers on this machine; 0 means one per core.
 
     Raises:
-        SurefootError: Ray does not start, or the cluster has no place for this process.
+        SurefootError: Ray does not start, or the cluster does not accept this process.
         ModuleNotFoundError: Ray is not installed.
     """
     for name, value in _SETTINGS.items():
@@ -171,7 +175,7 @@ def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
 
     options: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR, "configure_logging": True}
     if address is None:
-        memory = 100 << 20  # of objects, all small
+        memory = 100 << 20  # for objects, which are all small
         options |= {"num_cpus": workers or os.cpu_count(), "include_dashboard": False}
         options["object_store_memory"] = memory
     try:
@@ -186,10 +190,10 @@ def ray_cluster(address: str | None, workers: int = 0) -> Iterator[None]:
 
 
 def check_address(address: str | None) -> None:
-    """Refuse the address of a cluster where no Ray answers; Ray itself would try for minutes.
+    """Check that a Ray cluster answers at an address; Ray itself would try for minutes.
 
     Raises:
-        SurefootError: no HOST:PORT, or no answer.
+        SurefootError: the address is not HOST:PORT, or no cluster answers.
         ModuleNotFoundError: Ray is not installed.
     """
     import grpc
@@ -198,34 +202,34 @@ def check_address(address: str | None) -> None:
     if address is None:
         return
     if re.fullmatch(r"[\w.-]+:\d{1,5}", address) is None:
-        raise SurefootError(f"ray is '{address}'; it must be HOST:PORT, as `ray start --head` shows it")
+        raise SurefootError(f"ray is '{address}'; it must be HOST:PORT, as `ray start --head` prints it")
     with grpc.insecure_channel(address, options=[("grpc.enable_http_proxy", 0)]) as channel:
         try:
             grpc.channel_ready_future(channel).result(timeout=_CONNECT_TIMEOUT)
         except grpc.FutureTimeoutError:
             raise SurefootError(
-                f"ray is {address}: no Ray answers there within {_CONNECT_TIMEOUT:g} s; start one by "
+                f"ray is {address}: no Ray cluster answers within {_CONNECT_TIMEOUT:g} s; start one with "
                 "`ray start --head`, or leave the option out to run on this machine"
             ) from None
 
 
 def _one_line(error: BaseException) -> str:
-    """Return an error as one line: the message alone, if it is for users."""
+    """Return an error as one line; without the name of its type if it is a SurefootError."""
     text = " ".join(str(error).split())[:500]
     return text if isinstance(error, SurefootError) else f"{type(error).__name__}: {text}"
 
 
 @dataclass
 class _Job:
-    """A training under way."""
+    """Running training."""
 
     training: Training
     worker: Any
     is_new: bool
-    """Whether the worker was made for it, and may have to wait for a processor."""
+    """Whether its worker was created for it, and may have to wait for a processor."""
     begun: bool = False
     ends_as: str = ""
-    """Its state once the worker has ended it: stopped or pruned."""
+    """State after its requested end: stopped or pruned; otherwise empty."""
 
 
 def run_trainings(
@@ -235,16 +239,16 @@ def run_trainings(
     on_change: Callable[[Training, str, str], None],
     stops: Callable[[], int] = lambda: 0,
 ) -> TrainingsOutcome:
-    """Run trainings on Ray, which `ray_cluster` has started.
+    """Run trainings on the Ray cluster that `ray_cluster` has started.
 
     Args:
-        trainings: the trainings; the next one is taken when a worker is free for it.
-        workers: how many run at a time; 0 means as many as the cluster has processors.
-        on_report: called about once a second and at the end of a training; true prunes it: its policy is exported as
-            it is.
+        trainings: the trainings; the next one is requested when a worker is free.
+        workers: number of parallel trainings; 0 means the cluster's number of processors.
+        on_report: called about once per second and at the end of a training. If it returns True, the training is
+            pruned: its current policy is exported.
         on_change: called when a training is "started", "done", "pruned", "stopped", "failed" (with the error in one
-            line), or "lost": its process died, and it goes on from its folder in another one.
-        stops: number of stops requested: one lets the workers save and end, two end them at once.
+            line), or "lost" (its process died, and another one resumes it from its folder).
+        stops: returns the number of requested stops: after one, workers save and end; after two, they are killed.
     """
     import ray
 
@@ -253,7 +257,7 @@ def run_trainings(
     running: dict[Any, _Job] = {}
     idle: list[Any] = []
     lost: deque[Training] = deque()
-    tries: dict[str, int] = {}
+    attempts: dict[str, int] = {}
 
     def change(training: Training, state: str, error: str = "") -> None:
         if state == "failed":
@@ -273,11 +277,11 @@ def run_trainings(
                 ray.kill(job.worker)
                 del running[ref]
                 change(job.training, "stopped")
-        # A computer that is lost takes its processors with it.
+        # The number of processors decreases when a computer is lost.
         processors = max(1, int(ray.cluster_resources().get("CPU", 0)))
         for ref, job in list(running.items()) if len(running) + len(idle) > processors else ():
             if job.is_new and not job.begun and idle:
-                # It waits for the processor of an idle worker.
+                # Its new worker waits for a processor that an idle worker occupies: use the idle worker.
                 ray.kill(job.worker)
                 del running[ref]
                 job.worker, job.is_new = idle.pop(), False
@@ -285,14 +289,14 @@ def run_trainings(
         while not stop and len(running) < min(workers or processors, processors):
             training = lost.popleft() if lost else next(source, None)
             if training is None:
-                # Idle workers give their processors to those that wait for one.
+                # Release the processors of idle workers for workers that wait for one.
                 for worker in idle:
                     ray.kill(worker)
                 idle.clear()
                 break
             is_new = not idle
             worker = make_worker.remote(os.getcwd(), registered_plugins(), sys.argv[1:]) if is_new else idle.pop()
-            tries[training.name] = tries.get(training.name, 0) + 1
+            attempts[training.name] = attempts.get(training.name, 0) + 1
             running[worker.begin.remote(training)] = _Job(training, worker, is_new)
             change(training, "started")
         if not running:
@@ -307,9 +311,9 @@ def run_trainings(
                 continue
             except ray.exceptions.RayError as error:
                 if getattr(error, "actor_init_failed", False):
-                    fail(job, "no worker can be made: is this version of surefoot on every computer of the cluster?")
-                elif tries[job.training.name] >= TRIES:
-                    fail(job, f"its process died {TRIES} times, at last so: {_one_line(error)}")
+                    fail(job, "no worker can be created: is this version of surefoot on every computer of the cluster?")
+                elif attempts[job.training.name] >= MAX_ATTEMPTS:
+                    fail(job, f"its process died {MAX_ATTEMPTS} times; the last error: {_one_line(error)}")
                 else:
                     lost.append(job.training)
                     change(job.training, "lost")
@@ -331,9 +335,9 @@ def run_trainings(
 
 
 def _store_files(training: Training, report: ProgressReport) -> None:
-    """Write the files from a computer that does not share the folder."""
+    """Write the files of a finished training whose computer does not share the folder."""
     if training.policy.exists():
         return
-    for name in sorted({*report.files, *_FILES}, key=lambda name: (name == _FILES[-1], name)):
+    for name in sorted({*report.files, *_RETURNED_FILES}, key=lambda name: (name == _RETURNED_FILES[-1], name)):
         (training.path / name).parent.mkdir(parents=True, exist_ok=True)
         (training.path / name).write_bytes(report.files[name])

@@ -1,1 +1,1 @@
-"""The learning task: reference gait, observation, reward, fall, pushes and the environment."""
+"""The learning task: environment, reference gaits, observations, rewards, terminations and disturbances."""

@@ -1,4 +1,4 @@
-"""The command that a gait follows, the same in simulation and on the robot: limited in its change, with a phase."""
+"""Command filter and gait phase, the same in simulation and on the robot: rate limits, gradual start, heading hold."""
 
 from __future__ import annotations
 
@@ -15,21 +15,23 @@ from surefoot.task.commands import MAX_HEADING_ERROR, MAX_STANDING_HEADING_ERROR
 from surefoot.task.component import Privileged, RobotComponent
 from surefoot.task.state import EnvState, RobotState
 
-_START_TIME = 1.5
-"""Time in which a gait goes from standing to full steps, and back [sqrt(l / g)]."""
+_START_DURATION = 1.5
+"""Time from standing to full steps, and back [sqrt(l / g)]."""
 
 
 class CommandFilter:
-    """Turns the commands that are given into those that a gait follows, the same in simulation and on the robot.
+    """Filter between the requested commands and the gait.
 
-    Changes are limited, steps begin and end gradually, the phase advances with the gait's frequency, and the
-    heading is held: the integral of the commanded yaw rate, against the IMU's yaw.
+    It limits the rate of change of commands, starts and stops stepping gradually, advances the gait's phase, and holds
+    the heading: the desired heading is the integral of the commanded yaw rate, and the yaw of the IMU is controlled to
+    it.
 
     Args:
-        limits: of the commands.
+        limits: limits of the commands.
         natural_time: sqrt(l / g) of the legs [s].
-        num_envs: robots.
-        frequency: gives the gait's frequency [Hz] (N,) for commands (N, 3) and the share of the gait over holes (N,).
+        num_envs: number of robots.
+        frequency: function that returns the gait's frequency (N,) [Hz] for commands (N, 3) and the blend weight (N,) of
+            the gait over holes.
     """
 
     arrays = ("filtered_command", "correction", "heading_error", "activity", "phase", "heading")
@@ -39,37 +41,37 @@ class CommandFilter:
         self, limits: CommandLimits, natural_time: float, num_envs: int, frequency: Callable[..., Array]
     ) -> None:
         self.limits, self._frequency = limits, frequency
-        self._start_rate = 1.0 / (_START_TIME * natural_time)
+        self._start_rate = 1.0 / (_START_DURATION * natural_time)
         self.filtered_command = np.zeros((num_envs, 3))
-        """The given commands, their change limited, (N, 3)."""
+        """Commands after the rate limit (N, 3) [m/s, m/s, rad/s]."""
         self.correction = np.zeros(num_envs)
-        """Yaw rate that holds the heading [rad/s], (N,)."""
+        """Yaw rate added to hold the heading (N,) [rad/s]."""
         self.heading_error = np.zeros(num_envs)
-        """Heading that is held less the robot's [rad], (N,)."""
+        """Desired minus measured heading (N,) [rad]."""
         self.activity = np.zeros(num_envs)
         self.phase = np.zeros(num_envs)
         self.heading = np.zeros(num_envs)
-        """The heading that is held [rad], (N,)."""
+        """Desired heading (N,) [rad]."""
 
     def reset(self, rows: NDArray[np.int64], yaw: Array) -> None:
-        """Let robots stand, whose IMU says `yaw` (N,) [rad]."""
+        """Command zero velocity and hold the current heading `yaw` (N,) [rad]."""
         for array in (self.filtered_command, self.correction, self.heading_error, self.activity, self.phase):
             array[rows] = 0.0
         self.heading[rows] = yaw[rows]
 
     def advance(self, target: Array, step: Array, yaw: Array, over_holes: Array | None = None) -> None:
-        """Go on by a control step.
+        """Advance by one control step.
 
         Args:
-            target: commands (N, 3).
-            step: its duration (N,) [s].
-            yaw: of the IMU (N,) [rad].
-            over_holes: share of the gait over holes (N,).
+            target: requested commands (N, 3) [m/s, m/s, rad/s].
+            step: duration of the control step (N,) [s].
+            yaw: yaw measured by the IMU (N,) [rad].
+            over_holes: blend weight of the gait over holes (N,).
         """
         limits = self.limits
         change = np.array(limits.acceleration) * step[:, None]
         self.filtered_command += np.clip(target - self.filtered_command, -change, change)
-        walks = ~limits.stands(target) | ~limits.stands(self.filtered_command)
+        walks = ~limits.in_deadband(target) | ~limits.in_deadband(self.filtered_command)
         change = self._start_rate * step
         self.activity += np.clip(walks - self.activity, -change, change)
         self.phase = (self.phase + self._frequency(self.filtered_command, over_holes) * step) % 1.0
@@ -82,18 +84,18 @@ class CommandFilter:
 
     @property
     def state(self) -> CommandState:
-        """Filtered command, activity and phase that the gait follows now; the arrays are copies."""
+        """Current filtered command, activity and phase, as copies."""
         command = self.filtered_command.copy()
         command[:, 2] += self.correction
         return CommandState(command, self.activity.copy(), self.phase.copy())
 
 
 class CommandFollower(RobotComponent):
-    """Commands to N robots, and what their gait follows.
+    """Component that generates the commands of N robots and filters them for their gait.
 
     Args:
-        source: gives the commands.
-        commands: filters them.
+        source: command generator.
+        commands: command filter.
     """
 
     def __init__(self, source: CommandGenerator, commands: CommandFilter) -> None:
@@ -106,17 +108,17 @@ class CommandFollower(RobotComponent):
 
     @property
     def streams(self) -> Mapping[str, list[np.random.Generator]]:
-        """Streams of random numbers of the source, by name."""
+        """Random streams of the command generator, by name."""
         return {"command_streams": self.source.streams}
 
     def reset(self, rows: NDArray[np.int64], state: RobotState) -> None:
-        """Command zero velocity, or what the source begins with, and hold the current heading."""
+        """Start with the generator's first commands, zero filtered velocity and the current heading."""
         self.source.reset(rows)
         self.commands.reset(rows, state.readings.roll_pitch_yaw[:, 2])
         self.publish(state)
 
     def after_step(self, state: RobotState) -> None:
-        """Take new commands and follow them for a control step."""
+        """Update the commands and advance the filter by one control step."""
         self.source.update(state.readings.time)
         over_holes = None if state.gait_state is None else state.gait_state.over_holes
         self.commands.advance(self.source.command, state.duration, state.readings.roll_pitch_yaw[:, 2], over_holes)
@@ -127,7 +129,7 @@ class CommandFollower(RobotComponent):
         return [(["heading_error"], self.commands.heading_error[:, None])]
 
     def publish(self, state: RobotState) -> None:
-        """Write the commands to the state; footholds and lift in it stay."""
+        """Write the commands to the state and keep its footholds and lift."""
         now, before = self.commands.state, state.gait_state
         state.command, state.filtered_command = self.source.command, self.commands.filtered_command
         state.heading_error = self.commands.heading_error

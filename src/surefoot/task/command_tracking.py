@@ -1,4 +1,4 @@
-"""How far robots were commanded to go and went, and the one rule by which evaluations and curricula judge it."""
+"""Commanded and covered distance, and the success criterion that evaluations and curricula share."""
 
 from __future__ import annotations
 
@@ -7,26 +7,32 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 
-KEPT_UP = (0.7, 1.25)
-"""Shares of the commanded way between which a robot has kept up."""
+SUCCESS_RANGE = (0.7, 1.25)
+"""Range of the covered distance, relative to the commanded distance, that counts as success."""
 
 
-def step_ways(command: Array, velocity: Array, duration: Array) -> tuple[Array, Array]:
-    """Return the commanded way and how much of it was covered [m], of control steps (T,) or robots (N,).
+def step_distances(command: Array, velocity: Array, duration: Array) -> tuple[Array, Array]:
+    """Return the commanded distance and the distance covered along it [m], per control step (T,) or robot (N,).
 
-    Steps whose command has no linear speed cover nothing.
+    Both are 0 in steps whose command has no linear speed.
 
     Args:
-        command: speeds forward and to the left (T, 2) [m/s].
-        velocity: that of the base in its heading frame (T, 2) [m/s].
-        duration: of the control steps (T,) [s].
+        command: commanded speeds forward and to the left (T, 2) [m/s].
+        velocity: velocity of the base in its heading frame (T, 2) [m/s].
+        duration: duration of the control steps (T,) [s].
     """
     speed = np.linalg.norm(command, axis=-1)
     along = np.sum(velocity * command, axis=-1) / np.where(speed > 0, speed, 1.0)
     return speed * duration, along * duration
 
 
-def has_kept_up(commanded: Array, covered: Array, whole: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Return whether episodes came `whole` to their ends, without a fall, and covered .7 to 1.25 of their ways [m]."""
-    low, high = (share * commanded for share in KEPT_UP)
-    return np.asarray(whole & (low <= covered) & (covered <= high))
+def is_success(commanded: Array, covered: Array, is_complete: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return whether episodes ended without a fall and covered 0.7 to 1.25 of the commanded distance.
+
+    Args:
+        commanded: commanded distances [m].
+        covered: distances covered along the commands [m].
+        is_complete: whether episodes lasted their full time, without a fall.
+    """
+    low, high = (fraction * commanded for fraction in SUCCESS_RANGE)
+    return np.asarray(is_complete & (low <= covered) & (covered <= high))

@@ -1,4 +1,4 @@
-"""Commands in a task: their ranges, how they are drawn in training, and how the gait follows them over time."""
+"""Velocity commands of a task: ranges, random sampling in training, schedules, and the state that the gait follows."""
 
 from __future__ import annotations
 
@@ -16,58 +16,58 @@ from surefoot.configuration import Within, check_bounds, from_mapping
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote
 from surefoot.files import check_readable
 from surefoot.robot import GRAVITY, RobotDescription
-from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
+from surefoot.robot.commands import COMMANDS, STAND_COMMAND, CommandLimits
 from surefoot.seeding import generators
 
 Range = tuple[float, float]
 
-_LAST_COMMAND = 2.0
-"""Time for which the last command of a file is followed [s]."""
-_FILE_BYTES = 1_000_000
-"""Size of the largest file of commands that is read."""
+_LAST_COMMAND_DURATION = 2.0
+"""Time for which a robot follows the last command of a schedule [s]."""
+_MAX_FILE_SIZE = 1_000_000
+"""Maximum size of a command file [bytes]."""
 MAX_HEADING_ERROR = 0.5
-"""Greatest heading error [rad] that is corrected; beyond it the heading that is held follows the robot."""
+"""Maximum heading error [rad] that is corrected. If the robot turns further away, the desired heading moves with it."""
 MAX_STANDING_HEADING_ERROR = 0.15
-"""Greatest heading error [rad] that a standing robot keeps, to correct it when it walks again."""
+"""Maximum heading error [rad] that a standing robot remembers, to correct it when it walks again."""
 
 
 @dataclass(frozen=True)
 class CommandConfig:
-    """Commands that an episode draws, uniformly; none, if all ranges are (0, 0)."""
+    """Velocity commands of an episode, drawn uniformly. A task whose ranges are all (0, 0) has no commands."""
 
     forward: Range = (0.0, 0.0)
-    """Least and greatest speed forward."""
+    """Minimum and maximum forward speed."""
     sideways: Range = (0.0, 0.0)
-    """Least and greatest speed to the left; robots without abduction have none."""
+    """Minimum and maximum speed to the left. Ignored for robots without abduction if `relative`."""
     yaw_rate: Range = (0.0, 0.0)
-    """Least and greatest yaw rate."""
+    """Minimum and maximum yaw rate."""
     relative: bool = False
-    """Speeds count sqrt(g l), of a leg of length l, and yaw rates sqrt(g / l), else m/s and rad/s. The square of a
-    relative speed is the Froude number."""
-    acceleration: Annotated[float, Within(0, 100, above=True)] = 0.3
-    """How fast the gait follows: speeds in g, yaw rates in g / l."""
+    """Ranges are in units of sqrt(g l) for speeds and sqrt(g / l) for yaw rates, with the leg length l, instead of m/s
+    and rad/s. The square of a relative speed is the Froude number."""
+    acceleration: Annotated[float, Within(0, 100, exclusive=True)] = 0.3
+    """Maximum acceleration of the filtered command: of speeds in g, of yaw rates in g / l."""
     heading_gain: Annotated[float, Within(0, 100)] = 0.0
-    """Yaw rate [rad/s] that is added per heading error [rad]; 0: the heading is not held."""
+    """Proportional gain of the heading control [rad/s per rad]; 0: no heading control."""
     hold: Annotated[Range, Within(0.01, 3600)] = (2.0, 6.0)
-    """Least and greatest time [s] until another command is drawn."""
+    """Minimum and maximum time [s] between two commands."""
     stand: Annotated[float, Within(0, 1)] = 0.1
-    """Chance that a command means stand."""
+    """Probability of a zero command (stand still)."""
     straight: Annotated[float, Within(0, 1)] = 0.15
-    """Chance that a command asks for a speed forward only."""
+    """Probability of a command with forward speed only."""
     slowest: Annotated[float, Within(0, 1)] = 0.0
-    """Least linear speed of a command that does not mean stand, as a share of the greatest speed forward: slower ones
-    get more speed forward or backward, within its range."""
+    """Minimum linear speed of nonzero commands, as a fraction of the maximum forward speed. Slower commands get more
+    forward or backward speed, within its range."""
     ramp: Annotated[int, Within(0, 1_000_000)] = 0
-    """Curriculum: a robot's first `ramp` commands grow from nothing to what is drawn; 0: none do."""
+    """Curriculum: a robot's first `ramp` commands are scaled up linearly to the full ranges; 0: no curriculum."""
     schedule: tuple[tuple[float, float, float, float], ...] = ()
-    """Commands that are given in place of drawn ones: time in the episode [s], speeds forward and to the left [m/s] and
-    yaw rate [rad/s]; each holds until the next, and before the first the robot stands."""
+    """Fixed commands over time instead of random ones: time in the episode [s], speeds forward and to the left [m/s]
+    and yaw rate [rad/s]. Each holds until the next one. Before the first, the robot stands."""
     each: tuple[tuple[float, float, float], ...] = ()
-    """Commands that hold for a whole episode in place of drawn ones: robot i follows row i, and begins anew after the
-    last one [m/s, m/s, rad/s]."""
+    """One fixed command per episode instead of random ones: robot i follows row i modulo the number of rows
+    [m/s, m/s, rad/s]."""
 
     def __post_init__(self) -> None:
-        """Refuse values out of bounds and reversed ranges."""
+        """Reject values out of bounds and reversed ranges."""
         check_bounds(self, "commands")
         for name in (*COMMANDS, "hold"):
             low, high = getattr(self, name)
@@ -81,11 +81,11 @@ class CommandConfig:
 
     @property
     def enabled(self) -> bool:
-        """Whether the task has commands at all."""
+        """Whether the task has commands."""
         return any(getattr(self, name) != (0.0, 0.0) for name in COMMANDS)
 
     def make_generator(self, limits: CommandLimits, num_envs: int, seed: int) -> CommandGenerator:
-        """Return the generator of the commands of a batch."""
+        """Return the command generator of a batch: schedules if the configuration has them, otherwise random."""
         if self.schedule:
             return CommandSchedule([self.schedule], limits, num_envs)
         if self.each:
@@ -93,10 +93,10 @@ class CommandConfig:
         return CommandSampler(self, limits, num_envs, seed)
 
     def limits(self, robot: RobotDescription) -> CommandLimits | None:
-        """Return what the robot can be commanded, in SI units; None without commands.
+        """Return the robot's command limits in SI units, or None for a task without commands.
 
         Raises:
-            SurefootError: a speed sideways for legs without abduction, unless ranges are relative; a range without 0.
+            SurefootError: a sideways speed for legs without abduction, unless ranges are relative; a range without 0.
         """
         if not self.enabled:
             return None
@@ -118,15 +118,15 @@ class CommandConfig:
 
 
 def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
-    """Return the rows of a file of commands over time: CSV with the columns time, forward, sideways and yaw_rate.
+    """Read a command schedule from a CSV file with the columns time, forward, sideways and yaw_rate.
 
     Raises:
-        SurefootError: no such file, another kind of file, or rows that `CommandConfig.schedule` refuses.
+        SurefootError: no such file, another kind of file, or rows that `CommandConfig.schedule` does not allow.
     """
     names = ("time", *COMMANDS)
-    rule = f"a file of commands is CSV with the columns {', '.join(names)}"
+    rule = f"a command file is CSV with the columns {', '.join(names)}"
     with describe_os_errors(f"commands {path}"):
-        check_readable(path, _FILE_BYTES)
+        check_readable(path, _MAX_FILE_SIZE)
         text = path.read_text(encoding="utf-8", errors="replace")
     with prefix_errors(f"commands {path}"):
         try:
@@ -144,15 +144,15 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
 
 
 def schedule_duration(rows: Sequence[Sequence[float]]) -> float:
-    """Return how long a run takes that follows rows of time [s] and commands to their end [s]; 0 for none."""
-    return rows[-1][0] + _LAST_COMMAND if rows else 0.0
+    """Return the duration [s] of a run that follows a schedule to its end, or 0 for an empty schedule."""
+    return rows[-1][0] + _LAST_COMMAND_DURATION if rows else 0.0
 
 
 class CommandGenerator:
-    """Commands to the robots of a batch; this class holds those that it was given last, until an episode starts.
+    """Command generator of a batch of robots. This base class keeps the commands that are written to it.
 
     Args:
-        num_envs: robots.
+        num_envs: number of robots.
     """
 
     arrays: tuple[str, ...] = ("command",)
@@ -161,23 +161,23 @@ class CommandGenerator:
     def __init__(self, num_envs: int) -> None:
         self.streams: list[np.random.Generator] = []
         self.command = np.zeros((num_envs, 3))
-        """Present commands; they may be written."""
+        """Current commands (N, 3) [m/s, m/s, rad/s]; callers may write them."""
 
     def reset(self, rows: NDArray[np.int64]) -> None:
-        """Let robots whose episodes start stand."""
-        self.command[rows] = STAND
+        """Command robots whose episodes start to stand."""
+        self.command[rows] = STAND_COMMAND
 
     def update(self, time: Array) -> None:
-        """Set the commands of robots whose episodes are `time` (N,) [s] old."""
+        """Update the commands for the time since each robot's episode started, `time` (N,) [s]."""
 
 
 class CommandSchedule(CommandGenerator):
-    """Gives robots the commands of schedules, within their limits: robot i those of schedule i, in turn.
+    """Commands from schedules: robot i follows schedule i modulo the number of schedules.
 
     Args:
-        schedules: rows of time [s] and commands, as of `CommandConfig.schedule`.
-        limits: of the commands; None: they are given as they are.
-        num_envs: robots.
+        schedules: rows of time [s] and commands, see `CommandConfig.schedule`.
+        limits: limits to which commands are clipped, or None for no limits.
+        num_envs: number of robots.
     """
 
     def __init__(
@@ -190,15 +190,15 @@ class CommandSchedule(CommandGenerator):
             commands = np.array(columns).T
             if limits is not None:
                 commands = np.clip(commands, limits.low, limits.high)
-            self._schedules.append((times, np.concatenate([[STAND], commands])))
+            self._schedules.append((times, np.concatenate([[STAND_COMMAND], commands])))
 
     def reset(self, rows: NDArray[np.int64]) -> None:
-        """Begin the schedules for episodes that start."""
+        """Restart the schedules of robots whose episodes start."""
         for i in rows:
             self.command[i] = self.at(0.0, i)
 
     def update(self, time: Array) -> None:
-        """Set the commands of robots whose episodes are `time` (N,) [s] old."""
+        """Update the commands for the time since each robot's episode started, `time` (N,) [s]."""
         for k in range(min(len(self._schedules), len(time))):
             self.command[k :: len(self._schedules)] = self.at(time[k :: len(self._schedules)], k)
 
@@ -209,13 +209,13 @@ class CommandSchedule(CommandGenerator):
 
 
 class CommandSampler(CommandGenerator):
-    """Draws commands for each robot of a batch, each from its own stream.
+    """Random commands, with one random stream per robot.
 
     Args:
-        config: how they are drawn.
-        limits: their ranges.
-        num_envs: robots.
-        seed: seeds the streams.
+        config: distribution of the commands.
+        limits: ranges of the commands.
+        num_envs: number of robots.
+        seed: seed of the random streams.
     """
 
     arrays = ("command", "until", "drawn")
@@ -225,9 +225,9 @@ class CommandSampler(CommandGenerator):
         self.config, self.limits = config, limits
         self.streams = generators(seed, "commands", num_envs)
         self.until = np.zeros(num_envs)
-        """Time in the episode [s] at which another command is drawn, (N,)."""
+        """Time in the episode [s] at which the next command is drawn (N,)."""
         self.drawn = np.zeros(num_envs, np.int64)
-        """Commands drawn so far."""
+        """Number of commands drawn so far (N,)."""
 
     def reset(self, rows: NDArray[np.int64]) -> None:
         """Draw commands for episodes that start."""
@@ -235,16 +235,16 @@ class CommandSampler(CommandGenerator):
         self._draw(rows)
 
     def update(self, time: Array) -> None:
-        """Draw other commands for robots whose episodes are `time` (N,) [s] old, where these are due."""
+        """Draw new commands for robots whose hold time is over at `time` (N,) [s] in their episodes."""
         self._draw(np.flatnonzero(time + 5e-7 >= self.until))
 
     def _draw(self, rows: NDArray[np.int64]) -> None:
         config, low, high = self.config, self.limits.low, self.limits.high
         slowest = config.slowest * high[0]
         for i in rows:
-            # Five numbers each time, whatever the configuration: a robot draws the same in every experiment.
-            chance, hold, *shares = self.streams[i].uniform(size=5)
-            command = low + np.array(shares) * (high - low)
+            # Always draw five numbers, so that robots get the same random numbers in every experiment.
+            chance, hold, *fractions = self.streams[i].uniform(size=5)
+            command = low + np.array(fractions) * (high - low)
             if chance < config.stand:
                 command[:] = 0.0
             elif chance < config.stand + config.straight:
@@ -261,20 +261,20 @@ class CommandSampler(CommandGenerator):
 
 @dataclass(frozen=True)
 class CommandState:
-    """Commands and phase that a gait follows, of N robots."""
+    """Inputs of a gait that follows commands, for N robots: filtered command, phase, footholds and lift."""
 
     command: Array
-    """Speeds forward and to the left [m/s] and yaw rate [rad/s], (N, 3): the given command, its change limited, and
-    the yaw rate that holds the heading."""
+    """Speeds forward and to the left [m/s] and yaw rate [rad/s] (N, 3): the rate-limited command plus the yaw rate of
+    the heading control."""
     activity: Array
-    """Share of full steps, 0 for a robot that stands to 1 for one that walks, (N,)."""
+    """Stepping amplitude (N,): 0 while a robot stands, 1 for full steps."""
     phase: Array
-    """Phase of the gait in cycles, 0 to 1, (N,)."""
+    """Phase of the gait (N,) [cycles], 0 to 1."""
     lift_off: Array | None = None
-    """How far feet stood beside the places of their strides when they lifted off (N, L, 2) [m], see `Footholds`."""
+    """Offset of each foot from its nominal stride position at its last lift-off (N, L, 2) [m], see `Footholds`."""
     landing: Array | None = None
-    """How far beside them they land, likewise; they keep that in stance."""
+    """Offset of each foot from its nominal stride position at landing, kept during stance (N, L, 2) [m]."""
     lift: Array | None = None
-    """How much further feet are lifted in their swings (N, L) [m], see `ContactReflex`."""
+    """Additional lift of feet in swing (N, L) [m], see `ContactReflex`."""
     over_holes: Array | None = None
-    """Share of the gait over holes (N,), 0 to 1, see `Footholds`."""
+    """Blend weight of the gait over holes (N,), 0 to 1, see `Footholds`."""

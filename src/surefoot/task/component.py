@@ -1,9 +1,8 @@
-"""Components: the capabilities of an environment, each with the hooks of a control step that it needs.
+"""Base classes of components: optional capabilities of an environment with hooks into its control step.
 
-`LocomotionEnv` calls the hooks of its components in the order of `components.make_components`. The control computer of
-a robot runs those of them that are a `RobotComponent`: commands, contact reflex and footholds. A hook that a component
-does not override does nothing. A capability that a task does not have is not in
-the list.
+`LocomotionEnv` calls the hooks of its components in the order of `components.make_components`, which lists only the
+components that the task needs. Hooks do nothing unless a component overrides them. A robot's control computer runs the
+components that are a `RobotComponent`: commands, contact reflex and footholds.
 """
 
 from __future__ import annotations
@@ -22,15 +21,16 @@ Privileged = list[tuple[list[str], Array]]
 
 
 class Component:
-    """A capability of an environment; this one has none.
+    """Base class of components, with hooks that do nothing.
 
-    Hooks take the state of the batch and may write to it what they own. `rows` (n,) are robots whose episodes start.
+    Hooks receive the state of the batch and write their own fields of it. `rows` (n,) are the indices of robots whose
+    episodes start.
     """
 
     prefix = ""
-    """Name in the state for an exact resume, which no other component has."""
+    """Unique prefix of the component's arrays in a checkpoint."""
     changing: tuple[str, ...] = ()
-    """Names of the attributes that are arrays and change over time."""
+    """Names of array attributes that change over time, which checkpoints store."""
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
         """Return the arrays that an exact resume needs, by name."""
@@ -38,48 +38,48 @@ class Component:
 
     @property
     def streams(self) -> Mapping[str, list[np.random.Generator]]:
-        """Streams of random numbers by name, one per robot, for an exact resume."""
+        """Random streams by name, with one per robot, for an exact resume."""
         return {}
 
     def before_reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
-        """Prepare the world for new episodes: place robots, draw their parameters."""
+        """Prepare the world for new episodes, for example place robots or draw their parameters."""
 
     def reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
-        """Start new episodes of robots that the world has reset."""
+        """Start new episodes after the world has reset the robots."""
 
     def before_step(self, state: EnvState) -> None:
         """Act on the world before a control step."""
 
     def measure(self, state: EnvState) -> None:
-        """Measure what reward terms take, after the world's step."""
+        """Compute inputs of reward terms, after the physics step."""
 
     def after_step(self, state: EnvState) -> None:
-        """Go on to the next control step; `state.reward` is known."""
+        """Prepare the next control step, after `state.reward` was computed."""
 
     def privileged(self, state: EnvState) -> Privileged:
-        """Return what a critic may observe of this in simulation."""
+        """Return the component's privileged observations for the critic."""
         return []
 
     def info(self, state: EnvState) -> Mapping[str, Any]:
-        """Return entries of the `info` of the control step."""
+        """Return the component's entries of the step's `info`."""
         return {}
 
     def metrics(self) -> Mapping[str, Any]:
-        """Return metrics of the batch for the log of a training, by name."""
+        """Return metrics of the batch for the training log, by name."""
         return {}
 
     def publish(self, state: EnvState) -> None:
-        """Write to the state what others read of this component, after `set_state`."""
+        """Write the component's outputs to the state, after `set_state`."""
 
 
 class RobotComponent(Component):
-    """A capability that the control computer of a robot has too: these hooks take a `RobotState`."""
+    """Component that a robot's control computer also runs, so its hooks receive a `RobotState`."""
 
     def reset(self, rows: NDArray[np.int64], state: RobotState) -> None:
         """Start new episodes of robots."""
 
     def after_step(self, state: RobotState) -> None:
-        """Go on to the next control step."""
+        """Prepare the next control step."""
 
     def publish(self, state: RobotState) -> None:
-        """Write to the state what others read of this component."""
+        """Write the component's outputs to the state."""

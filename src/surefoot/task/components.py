@@ -1,6 +1,6 @@
-"""The components of an environment, made from its task, in the order in which their hooks are called.
+"""Construction of an environment's components from its task, in the order in which their hooks are called.
 
-A new capability is a file with its `Component`, and an entry here.
+To add a capability, write a `Component` in a file of its own and append it in `make_components`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from surefoot.world.terrain import TerrainField
 
 @dataclass(frozen=True)
 class Setup:
-    """What the components of an environment are made from."""
+    """Inputs for constructing the components of an environment."""
 
     task: TaskConfig
     robot: RobotDescription
@@ -37,17 +37,17 @@ class Setup:
     nominal: PhysicalParams
     """Physical parameters without randomization, one row per robot."""
     tiles: TerrainField
-    """What robots stand on."""
+    """Terrain of all robots."""
     num_envs: int
     seed: int
     source: CommandGenerator | None
-    """Gives the commands; defaults to the generator that the task configures."""
+    """Command generator. Defaults to the one that the task configures."""
     step_info: bool
-    """Whether `info` describes every step."""
+    """Whether `info` describes every step; see `StepInfo`."""
 
 
 def make_components(setup: Setup) -> list[Component]:
-    """Return the components of an environment; a capability that its task does not have is not among them."""
+    """Return the components that the task needs, in calling order."""
     task, robot, num_envs, seed = setup.task, setup.robot, setup.num_envs, setup.seed
     limits, terrain = task.commands.limits(robot), task.terrain
     components: list[Component] = [TrueState(robot, in_heading_frame=limits is not None)]
@@ -57,7 +57,7 @@ def make_components(setup: Setup) -> list[Component]:
         components.append(EpisodeStarts(terrain.heading, num_envs, seed))
     if not terrain.is_flat:
         components.append(TrueHeights(robot))
-    if task.sees:
+    if task.needs_height_map:
         components.append(HeightScan(HeightScanner(terrain.scan, robot, num_envs, seed)))
     if limits is not None:
         source = setup.source or task.commands.make_generator(limits, num_envs, seed)
@@ -83,4 +83,4 @@ def _footholds(components: list[Component]) -> Footholds:
     for component in components:
         if isinstance(component, Footholds):
             return component
-    raise SurefootError("reward.foothold_error needs footholds, and reference.foothold_radius is 0")
+    raise SurefootError("reward.foothold_error needs footholds: set reference.foothold_radius above 0")

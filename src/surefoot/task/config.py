@@ -1,4 +1,4 @@
-"""The configuration of a task: robot, observation, feedback, reward."""
+"""Task configuration (robot, observations, gait, reward, disturbances), and loading of task files."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from typing import Annotated, Any, Literal
 
 from surefoot.configuration import NoOption, Within, check_bounds, from_mapping, keys_of_kind, read_yaml
 from surefoot.errors import SurefootError, check_name, prefix_errors, quote, suggest
-from surefoot.policy.contract import ASSUMED_PARAMS, MAX_MEMORY, Stated
+from surefoot.policy.contract import ASSUMED_PARAMS, MAX_MEMORY, ContractField
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription
 from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges, check_ranges, resolve_table
 from surefoot.task.commands import CommandConfig
-from surefoot.task.gait import ActionKind, HybridGait, narrowed_bounds
+from surefoot.task.gait import ActionKind, HybridGait, narrow_bounds
 from surefoot.task.observation import IMU_AND_MOTORS_12D, OVER_HOLES
 from surefoot.task.pushes import PushConfig
 from surefoot.task.reference_config import REFERENCES, NoReferenceConfig, ReferenceField
@@ -25,163 +25,172 @@ from surefoot.task.terrain import TerrainConfig
 
 _PRESETS = Path(__file__).parent / "presets"
 
-_LIMITS = (*COMMANDS, "relative", "acceleration", "heading_gain")
-"""Fields of the commands that are limits of what a policy follows."""
+_LIMIT_FIELDS = (*COMMANDS, "relative", "acceleration", "heading_gain")
+"""Fields of `CommandConfig` that limit the commands of a policy."""
 MAX_STEPS = 1_000_000
-"""Control steps of the longest episode: hours."""
+"""Maximum control steps of an episode: hours."""
 
 
 @dataclass(frozen=True)
 class FeedbackConfig:
-    """Bounds of what the policy adds to the reference; equal bounds leave no choice."""
+    """Bounds of the feedback, which the policy adds to the reference. Equal bounds fix a coordinate."""
 
     swing: tuple[float, float] = (-0.5, 0.5)
-    """Least and greatest feedback on each leg's swing [rad]."""
+    """Minimum and maximum feedback on each leg's swing [rad]."""
     extension: tuple[float, float] = (-0.5, 0.5)
-    """Least and greatest feedback on each leg's extension: rad for a five-bar leg, lengths of the straight leg for a
-    serial one."""
+    """Minimum and maximum feedback on each leg's extension: rad for a five-bar leg, lengths of the straight leg for a
+    serial leg."""
     abduction: tuple[float, float] = (-0.2, 0.2)
-    """Least and greatest feedback on each leg's abduction [rad], of robots that have it."""
+    """Minimum and maximum feedback on each leg's abduction [rad], for robots with abduction."""
     joint: tuple[float, float] = (-0.5, 0.5)
-    """Least and greatest feedback on each motor's angle [rad], for `action` joint."""
+    """Minimum and maximum feedback on each motor's angle [rad], for `action` joint."""
 
     def __post_init__(self) -> None:
-        """Refuse reversed bounds, and bounds that are not finite."""
+        """Reject reversed bounds, and bounds that are not finite."""
         check_bounds(self, "feedback")
         for name, (low, high) in vars(self).items():
             if not low <= high:
                 raise SurefootError(f"feedback.{name} is [{low:g}, {high:g}]; the lower bound must come first")
 
     def bounds(self, names: Sequence[str]) -> list[tuple[float, float]]:
-        """Return the bounds of coordinates by name."""
+        """Return the bounds of the named coordinates."""
         return [getattr(self, name) for name in names]
 
 
 @dataclass(frozen=True)
 class TaskConfig:
-    """Configuration of a task. Fields marked as `Stated` are the policy's interface, which its contract states."""
+    """Configuration of a task. Fields marked `ContractField` are the policy's interface, and part of its contract."""
 
     name: str = "gait"
-    """Name of the task; run folders carry it."""
-    robot: Annotated[NoOption[str], Stated()] = DEFAULT_ROBOT
-    """Name of a robot that ships with surefoot, or the path of a robot's folder; in a file from the file's folder."""
-    observations: Annotated[tuple[str, ...], Stated()] = IMU_AND_MOTORS_12D
+    """Name of the task, used in the names of run folders."""
+    robot: Annotated[NoOption[str], ContractField()] = DEFAULT_ROBOT
+    """Name of a robot that ships with surefoot, or the path of a robot's folder, in a file relative to that file."""
+    observations: Annotated[tuple[str, ...], ContractField()] = IMU_AND_MOTORS_12D
     """Parts of the observation, in order."""
-    history: Annotated[int, Within(1, 100), Stated()] = 1
-    """Number of last observations in the policy's input, the newest first."""
-    reference: Annotated[ReferenceField, Stated()] = field(default_factory=NoReferenceConfig)
-    """The open loop part of the gait."""
-    feedback: Annotated[FeedbackConfig, Stated()] = field(default_factory=FeedbackConfig)
-    """Bounds of the policy's part."""
-    action: Annotated[ActionKind, Stated()] = "leg"
-    """What the policy's part is added to: the legs' poses in leg space, or the motors' angles. angle: to nothing; it is
-    the motors' angles themselves, without a reference."""
-    memory: Annotated[int, Within(0, MAX_MEMORY), Stated()] = 0
-    """Numbers beside the motion that the policy keeps from one control step to the next, by observation `memory`."""
-    rest: Annotated[tuple[float | tuple[float, ...], ...] | None, Stated()] = None
-    """Pose of the legs in leg space in which the robot settles first, each coordinate of all legs or of each; the
-    middle of commands if not given."""
+    history: Annotated[int, Within(1, 100), ContractField()] = 1
+    """Number of past observations in the policy's input, including the current one, newest first."""
+    reference: Annotated[ReferenceField, ContractField()] = field(default_factory=NoReferenceConfig)
+    """Reference gait: the open-loop part of the command."""
+    feedback: Annotated[FeedbackConfig, ContractField()] = field(default_factory=FeedbackConfig)
+    """Bounds of the policy's feedback."""
+    action: Annotated[ActionKind, ContractField()] = "leg"
+    """What the policy outputs. leg: feedback on the legs' poses in leg space; joint: feedback on the motor angles;
+    angle: the motor angles themselves, without a reference."""
+    memory: Annotated[int, Within(0, MAX_MEMORY), ContractField()] = 0
+    """Number of additional outputs that the policy receives in the next control step as the observation `memory`."""
+    rest: Annotated[tuple[float | tuple[float, ...], ...] | None, ContractField()] = None
+    """Pose of the legs in leg space in which the robot settles before an episode: for each coordinate one value, or one
+    per leg. Defaults to the middle of the range of commands."""
     fall_angle: Annotated[float, Within(1e-3, math.pi)] = 0.5
-    """Roll or pitch [rad] beyond which an episode ends, from how a base lies along the ground's course."""
+    """Roll or pitch [rad], relative to the slope of the ground, beyond which an episode ends."""
     fall_height: Annotated[float, Within(0, 10)] = 0.0
-    """Height of the base's origin over the level of the ground [m] below which an episode ends; 0: none. It keeps gaits
-    from crawling on the belly."""
+    """Height of the base's origin above the smoothed ground [m] below which an episode ends; 0: no limit. It keeps
+    gaits from crawling on the belly."""
     max_steps: Annotated[int, Within(1, MAX_STEPS)] = 1000
     """Control steps of an episode."""
-    commands: Annotated[CommandConfig, Stated(_LIMITS)] = field(default_factory=CommandConfig)
-    """Speeds and yaw rates that the robot must follow; none by default: it goes straight on."""
+    commands: Annotated[CommandConfig, ContractField(_LIMIT_FIELDS)] = field(default_factory=CommandConfig)
+    """Velocity commands that the robot follows. By default there are none, and the robot goes straight ahead."""
     reward: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=PAPER_REWARD.copy)
     """Weights of reward terms by name (`task.reward.TERMS`); costs have negative weights."""
     reward_limits: Annotated[dict[str, float], Within(-1e6, 1e6)] = field(default_factory=dict)
-    """Greatest values of reward terms that count, by name; per second of progress, energy and transport_cost."""
+    """Upper clipping limits of reward terms, by name; for progress, energy and transport_cost per second."""
     pushes: PushConfig = field(default_factory=PushConfig)
     """Random pushes on the base."""
     terrain: TerrainConfig = field(default_factory=TerrainConfig)
-    """What robots stand on."""
+    """Terrain, terrain curriculum, and the map of terrain heights that a policy receives."""
     randomize: NoOption[Ranges] = field(default_factory=dict)
-    """Ranges from which every episode draws physical parameters, by name; in a file also the name of a table."""
+    """Domain randomization: range of each physical parameter, by name, sampled in every episode; in a file also the
+    name of a table of ranges."""
     randomize_ramp: Annotated[int, Within(0, 1_000_000)] = 0
-    """Curriculum: a robot's first `randomize_ramp` episodes draw from ranges that widen from the nominal value; 0: none
-    do."""
-    params: Annotated[NoOption[dict[str, ParamValue]], Stated(ASSUMED_PARAMS)] = field(default_factory=dict)
-    """Physical parameters that differ from the robot's description, by name: a number, or one for each motor."""
+    """Curriculum: in a robot's first `randomize_ramp` episodes, ranges widen from the nominal value; 0: no
+    curriculum."""
+    params: Annotated[NoOption[dict[str, ParamValue]], ContractField(ASSUMED_PARAMS)] = field(default_factory=dict)
+    """Physical parameters that differ from the robot's description, by name: one value, or one per motor."""
     params_source: NoOption[dict[str, str]] = field(default_factory=dict)
-    """The file that they were read from, if any: its name as `file`, and `sha256`. It is not read again."""
+    """File from which `params` were read, if any: its name `file` and its `sha256`. It is not read again."""
     actuator: NoOption[Literal["dc", "constraint"]] = "dc"
-    """dc: servo and DC motor; constraint: the position motor of physics engines, the paper's baseline."""
+    """dc: the robot's servo and motor model; constraint: the position motor of physics engines, the paper's
+    baseline."""
     thermal_protection: bool = False
     """Switch off motors that overheat."""
     start_linear_speed: Annotated[float, Within(0, 100)] = 0.05
-    """An episode starts with a random base velocity, each component up to this [m/s]."""
+    """Maximum of each component of the base's random initial velocity [m/s]."""
     start_angular_speed: Annotated[float, Within(0, 100)] = 0.1
-    """An episode starts with a random angular velocity, each component up to this [rad/s]."""
+    """Maximum of each component of the base's random initial angular velocity [rad/s]."""
 
     def __post_init__(self) -> None:
-        """Refuse an invalid name, values out of bounds, and a reward of unknown terms."""
+        """Reject an invalid name, values out of bounds, and unknown reward terms."""
         check_name("name", self.name)
         check_bounds(self)
         check_reward(self.reward, self.reward_limits)
         check_ranges(self.randomize)
         if self.reference.over_holes is not None and OVER_HOLES not in self.observations:
             raise SurefootError(
-                f"reference.over_holes is given and observations lack {OVER_HOLES}; the policy has a network for each "
-                "gait"
+                f"reference.over_holes is given, but observations lack {OVER_HOLES}; the policy needs it to blend the "
+                "networks of the two gaits"
             )
 
     @property
-    def sees(self) -> bool:
-        """Whether a map of the ground's heights is needed: the policy observes it, or footholds are chosen on it."""
+    def needs_height_map(self) -> bool:
+        """Whether the task needs a map of terrain heights, as an observation or to choose footholds."""
         return "height_scan" in self.observations or bool(self.reference.foothold_radius)
 
     def gait(self, robot: RobotDescription) -> HybridGait:
-        """Return the gait: reference and bounds of the feedback, which the robot must allow.
+        """Return the gait of a robot: its reference and the bounds of the feedback.
 
-        Beside a `relative` reference, which serves any robot, bounds are narrowed: see `narrowed_bounds`.
+        With a `relative` reference, which serves any robot, bounds are narrowed to the robot's range; see
+        `narrow_bounds`.
+
+        Raises:
+            SurefootError: a gait that exceeds the robot's range.
         """
         reference = self.reference.make(robot, self.commands.limits(robot), self.nominal(robot))
         names = {"leg": robot.coordinates, "joint": ("joint",), "angle": ()}[self.action]
         bounds = self.feedback.bounds(names)
         if self.reference.relative and self.action == "leg":
-            bounds = narrowed_bounds(bounds, reference, robot)
+            bounds = narrow_bounds(bounds, reference, robot)
         return HybridGait(robot, reference, *bounds, action=self.action, memory=self.memory)
 
     def return_meta(self, robot: RobotDescription) -> dict[str, float | None]:
-        """Return what a trace's meta has to compute the return: `energy_weight` and `progress_limit` of `TraceMeta`."""
+        """Return the entries of `TraceMeta` from which the return of a trace is computed."""
         weight = energy_weight(self.reward, self.reward_limits, robot.weight)
         return {"energy_weight": weight, "progress_limit": self.reward_limits.get("progress")}
 
     def return_unit(self, robot: RobotDescription) -> str:
-        """Return m for the paper's reward, which is a distance; empty for others, whose terms have different units."""
+        """Return the unit of the return: m for the paper's reward, otherwise empty, as terms have different units."""
         return "" if self.return_meta(robot)["energy_weight"] is None else "m"
 
     def nominal(self, robot: RobotDescription) -> PhysicalParams:
-        """Return the physical parameters, which the robot must allow, without randomization, one row."""
+        """Return the physical parameters without randomization, as one row."""
         return PhysicalParams.nominal(robot).with_values(robot, **self.params)
 
 
 def preset_names() -> list[str]:
-    """Return the names of the tasks that ship with surefoot: those for any robot, and those of the default one."""
+    """Return the names of the tasks that ship with surefoot, for any robot or for the default robot."""
     return sorted(_shipped_tasks(DEFAULT_ROBOT))
 
 
 def _shipped_tasks(robot: str) -> dict[str, Path]:
-    """Return the files of tasks by name: those for any robot, and a robot's own in their place."""
+    """Return the task files that ship with surefoot, by name. A robot's own task replaces the general one."""
     folders = (_PRESETS, RobotDescription.find_folder(robot) / "tasks")
     return {path.stem: path for folder in folders for path in folder.glob("*.yaml")}
 
 
 def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str, Any]]:
-    """Read a task by name or path.
+    """Load a task by name or path.
 
     Args:
-        task: name of a task that ships, of the robot or for any; also ROBOT-NAME; or the path of a YAML file.
-        robot: name of a robot that ships, or the path of a robot's folder; the file's, if not given.
+        task: name of a task that ships with surefoot, also as ROBOT-NAME; or the path of a YAML file.
+        robot: name of a robot that ships with surefoot, or the path of a robot's folder. Defaults to the file's robot.
 
     Returns:
-        the task, and the file's `train` table (empty, if there is none).
+        The task, and the file's `train` table, empty if it has none.
+
+    Raises:
+        SurefootError: no such task or robot, or a file that is not a valid task.
     """
     if robot is not None:
-        RobotDescription.load(robot)  # refuses one that is not there
+        RobotDescription.load(robot)  # raises an error if there is no such robot
     for name in RobotDescription.available():
         if robot is None and task.startswith(f"{name}-") and not task.endswith((".yaml", ".yml")):
             task, robot = task.removeprefix(f"{name}-"), name
@@ -193,7 +202,7 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
     path = shipped.get(task, Path(task))
     data = _with_base(read_yaml(path), path)
     train = data.pop("train", None) or {}
-    data.pop("handcrafted", None)  # Belongs to `HandcraftedGait`, whose task this is.
+    data.pop("handcrafted", None)  # belongs to `HandcraftedGait`
     if robot is not None or path.parent == _PRESETS:
         data["robot"] = robot or DEFAULT_ROBOT
     elif isinstance(data.get("robot"), str):
@@ -205,16 +214,16 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
         if task in shipped and config.robot != DEFAULT_ROBOT:
             config = replace(config, name=f"{RobotDescription.load(config.robot).name}-{path.stem}")
     if config.reference.file is not None:
-        # A table's path counts from the task's file, wherever surefoot is run.
+        # The path of a table is relative to the task file.
         absolute = str((path.parent / config.reference.file).resolve())
         config = from_mapping(TaskConfig, {"reference": {"file": absolute}}, base=config)
     return config, train
 
 
 def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Return a task file's table merged over that of the task that its key `base` names, if it has one.
+    """Return a task file's table, merged into the table of the task that its key `base` names.
 
-    In a file with the name of a robot that ships that is the robot's own task of that name before one for any robot.
+    If the file names a robot that ships with surefoot, this robot's own tasks take precedence.
     """
     base, robot = data.pop("base", None), data.get("robot")
     if base is None:
@@ -223,17 +232,17 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     files = {file.stem: file for folder in (_PRESETS, *own) for file in folder.glob("*.yaml") if file != path}
     if base not in list(files):  # it may be unhashable
         raise SurefootError(f"{path}: base is {quote(base)}; {suggest(base, sorted(files))}")
-    below, reference = _with_base(read_yaml(files[base]), files[base]), data.get("reference")
+    base_data, reference = _with_base(read_yaml(files[base]), files[base]), data.get("reference")
     if isinstance(reference, dict) and "kind" in reference:
-        below["reference"] = keys_of_kind(REFERENCES, below.get("reference", {}), reference["kind"])
-    return _merge(below, data)
+        base_data["reference"] = keys_of_kind(REFERENCES, base_data.get("reference", {}), reference["kind"])
+    return _merge_tables(base_data, data)
 
 
-def _merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Return a table with what another one changes or adds, at every depth."""
+def _merge_tables(base: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
+    """Return nested tables, merged recursively; entries of `override` take precedence."""
     both = {
-        key: _merge(below[key], value)
-        for key, value in above.items()
-        if isinstance(value, dict) and isinstance(below.get(key), dict)
+        key: _merge_tables(base[key], value)
+        for key, value in override.items()
+        if isinstance(value, dict) and isinstance(base.get(key), dict)
     }
-    return {**below, **above, **both}
+    return {**base, **override, **both}

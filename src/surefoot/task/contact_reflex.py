@@ -1,7 +1,7 @@
-"""Feet that meet something in their swing are lifted further, until they have met nothing for some strides.
+"""Contact reflex: feet that hit an obstacle in swing are lifted higher, for some strides.
 
-A swinging foot that stays far behind its command has met a step or a stone. That is computed from motor angles: feet
-need no sensors.
+A swinging foot that lags far behind its command has hit a step or a stone. The lag is computed from motor angles, so
+that feet need no sensors.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ from surefoot.task.component import RobotComponent
 from surefoot.task.reference import FollowingReference
 from surefoot.task.state import RobotState
 
-BEHIND = 0.12
-"""A foot has met something that is further than this behind its command, in lengths l of the straight leg: a free one
-of soft legs lags by less."""
-_FIRST, _LAST = 0.2, 0.95
-"""Part of the swing in which it is looked at: before, it may still stand, and then it may have landed."""
-_FILTER = 0.2
-"""Time constant [sqrt(l / g)] of that distance: commands that differ from step to step are no obstacles."""
-_RISES = 1.7
-"""By how much the lift grows in a time sqrt(l / g), in l."""
-_FALLS = 15.0
-"""Time constant [sqrt(l / g)] with which the lift is forgotten, some strides."""
-_SHORTEST = 0.07
-"""Shortest stride [l] that has a direction in which a foot can meet something."""
+CONTACT_LAG = 0.12
+"""Lag of a foot behind its command that indicates contact, in lengths l of the straight leg. Feet of soft legs lag less
+in free swing."""
+_MIN_SWING_PHASE, _MAX_SWING_PHASE = 0.2, 0.95
+"""Swing phase in which contact is detected: before, the foot may still stand, and after, it may have landed."""
+_FILTER_TIME = 0.2
+"""Time constant [sqrt(l / g)] of the low-pass filter on the lag, against commands that vary from step to step."""
+_LIFT_RATE = 1.7
+"""Rate at which the lift grows in contact [l / sqrt(l / g)]."""
+_LIFT_DECAY_TIME = 15.0
+"""Time constant [sqrt(l / g)] with which the lift decays in stance: some strides."""
+_MIN_STRIDE = 0.07
+"""Minimum stride length [l] at which contact is detected: shorter strides have no direction."""
 
 
 class ContactReflex(RobotComponent):
     """Additional lift of the feet of N robots with L legs after contact in swing.
 
     Args:
-        reference: with `touch_clearance`.
-        num_envs: robots.
+        reference: reference gait with a `touch_clearance`.
+        num_envs: number of robots.
     """
 
     prefix = "touch"
@@ -46,54 +46,56 @@ class ContactReflex(RobotComponent):
     def __init__(self, reference: FollowingReference, num_envs: int) -> None:
         self.reference, legs = reference, reference.robot.leg_geometry
         self._length = float(legs.length)
-        self.lift = np.zeros((num_envs, len(reference.places)))
-        """Height [m] by which feet are lifted further in the middle of their swings, (N, L)."""
+        self.lift = np.zeros((num_envs, len(reference.neutral_feet)))
+        """Additional lift of each foot in the middle of its swing (N, L) [m]."""
         self.behind = np.zeros(self.lift.shape)
-        """How far feet are behind their commands in the direction of their strides, low-pass filtered [m] (N, L)."""
+        """Low-pass filtered lag of each foot behind its command, in the direction of its stride (N, L) [m]."""
         self.commanded = np.zeros((*self.lift.shape, 3))
-        """Feet of the last command but one, from the legs' mounts [m] (N, L, 3): actuators take that long."""
+        """Foot positions of the second-to-last command, relative to the legs' mounts (N, L, 3) [m]. This matches the
+        delay of actuators."""
 
     def reset(self, rows: NDArray[np.int64], state: RobotState) -> None:
-        """Let robots stand that have met nothing."""
+        """Start episodes without lift."""
         for array in (self.lift, self.behind, self.commanded):
             array[rows] = 0.0
         self.publish(state)
 
     def after_step(self, state: RobotState) -> None:
-        """Compare the measured feet with the commanded feet, and lift those that met something."""
+        """Detect contacts from measured and commanded foot positions, and update the lift."""
         assert state.gait_state is not None
         self.update(state.target, state.readings.motor_angle, state.gait_state, state.duration)
         self.publish(state)
 
     def publish(self, state: RobotState) -> None:
-        """Write the lift to what the gait follows."""
+        """Write the lift to the gait's state."""
         assert state.gait_state is not None
         state.gait_state = replace(state.gait_state, lift=self.lift)
 
     def update(self, target: Array, measured: Array, state: CommandState, step: Array) -> None:
-        """Go on by a control step.
+        """Advance by one control step.
 
         Args:
-            target: motor angles (N, M) [rad] that were commanded.
-            measured: those at its end.
-            state: what the gait follows.
-            step: its duration (N,) [s].
+            target: commanded motor angles (N, M) [rad].
+            measured: motor angles measured at the end of the control step (N, M) [rad].
+            state: state of the gait.
+            step: duration of the control step (N,) [s].
         """
         reference = self.reference
         time = step[:, None] / reference.robot.natural_time
         stride = state.activity[:, None, None] * reference.strides(state.command)
         size = np.linalg.norm(stride, axis=-1)
-        missing = np.nan_to_num(self.commanded - self._feet(measured))  # NaN: a leg that can't close
-        now = (missing[..., :2] * stride).sum(axis=-1) / np.maximum(size, 1e-9)
-        self.behind += np.minimum(time / _FILTER, 1.0) * (now - self.behind)
-        part = reference.feet.swing_part(state.phase)
-        swings = (part > _FIRST) & (part < _LAST) & (size > _SHORTEST * self._length)
-        met = swings & (self.behind > BEHIND * self._length)
+        error = np.nan_to_num(self.commanded - self._feet(measured))  # NaN: motor angles that no closed leg has
+        lag = (error[..., :2] * stride).sum(axis=-1) / np.maximum(size, 1e-9)
+        self.behind += np.minimum(time / _FILTER_TIME, 1.0) * (lag - self.behind)
+        phase = reference.feet.swing_phase(state.phase)
+        swings = (phase > _MIN_SWING_PHASE) & (phase < _MAX_SWING_PHASE) & (size > _MIN_STRIDE * self._length)
+        contact = swings & (self.behind > CONTACT_LAG * self._length)
         if state.over_holes is not None:
-            # A foot on its way to a foothold far beside its stride is behind without having met anything.
-            met &= state.over_holes[:, None] == 0.0
-        raised = np.minimum(self.lift + _RISES * self._length * time, reference.touch_clearance)
-        self.lift = np.where(met, raised, np.where(part < 0.0, self.lift * np.exp(-time / _FALLS), self.lift))
+            # A foot that swings to a distant foothold lags without contact.
+            contact &= state.over_holes[:, None] == 0.0
+        raised = np.minimum(self.lift + _LIFT_RATE * self._length * time, reference.touch_clearance)
+        decayed = np.where(phase < 0.0, self.lift * np.exp(-time / _LIFT_DECAY_TIME), self.lift)
+        self.lift = np.where(contact, raised, decayed)
         self.commanded = self._feet(target)
 
     def _feet(self, angles: Array) -> Array:

@@ -1,7 +1,7 @@
-"""The contract of a task's policy, and the task of a policy's contract.
+"""Conversion between a task and the contract of its policy.
 
-A contract states what a robot needs to run the policy: its observation, reference, bounds, commands, gains and delays,
-as numbers for one robot. The rest of the task (reward, randomization, pushes) stands in `Contract.task`.
+A contract states what a robot needs to run the policy (observation, reference, bounds, commands, gains and delays) as
+numbers for one robot. The rest of the task (reward, randomization, pushes) is in `Contract.task`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from surefoot.policy.contract import (
     HeightMap,
     ObservationPart,
     config_hash,
-    stated_fields,
+    contract_fields,
 )
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamValue, param_values
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.gait import ActionKind, action_names
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.observation import Observer
 from surefoot.task.plugins import used_plugins
 from surefoot.task.policy_plugins import check_plugins, task_without_skipped
@@ -39,24 +39,24 @@ from surefoot.task.terrain import TerrainConfig
 if TYPE_CHECKING:
     from surefoot.task.env import LocomotionEnv
 
-_STATED = stated_fields(TaskConfig)
-"""Dotted names of the task's fields that the contract states itself."""
+_STATED = contract_fields(TaskConfig)
+"""Dotted names of the task's fields that are fields of the contract."""
 
 
 def make_contract(
-    env: LocomotionEnv, config: Any = None, figures: Mapping[str, Any] | None = None, created: str = ""
+    env: LocomotionEnv, config: Any = None, metrics: Mapping[str, Any] | None = None, created: str = ""
 ) -> Contract:
     """Return the contract of a policy that was trained in an environment.
 
     Args:
         env: the environment.
-        config: configuration of the whole run, a dataclass with a `name`: the policy's. The task's, if None.
-        figures: figures of the run.
+        config: configuration of the whole run, a dataclass whose `name` becomes the policy's. Defaults to the task.
+        metrics: metrics of the run.
         created: when the policy was made, ISO 8601.
     """
     config = config or env.task
     return contract_from_task(
-        env.task, env.robot, config_hash(_without_path(to_mapping(config), env.robot)), config.name, figures, created
+        env.task, env.robot, config_hash(_without_path(to_mapping(config), env.robot)), config.name, metrics, created
     )
 
 
@@ -65,17 +65,17 @@ def contract_from_task(
     robot: RobotDescription,
     whole_hash: str = "",
     name: str = "",
-    figures: Mapping[str, Any] | None = None,
+    metrics: Mapping[str, Any] | None = None,
     created: str = "",
 ) -> Contract:
     """Return the contract of a policy for a task on its robot.
 
     Args:
         task: the task.
-        robot: the task's.
-        whole_hash: `config_hash` of the configuration of the run; the task's, if empty.
-        name: of the policy; the task's, if empty.
-        figures: figures of the run.
+        robot: the task's robot.
+        whole_hash: `config_hash` of the configuration of the run. Defaults to the hash of the task.
+        name: name of the policy. Defaults to the task's name.
+        metrics: metrics of the run.
         created: when the policy was made, ISO 8601.
     """
     gait, scan = task.gait(robot), task.terrain.scan
@@ -85,7 +85,7 @@ def contract_from_task(
     return Contract(
         name=name or task.name,
         robot=robot.name,
-        description=robot.location if robot.ships else "",
+        description=robot.location if robot.is_builtin else "",
         motor_names=robot.motor_names,
         motor_signs=tuple(float(sign) for sign in robot.motor_sign),
         leg_names=robot.leg_names,
@@ -100,10 +100,10 @@ def contract_from_task(
         **assumed,
         task=_task_mapping(task),
         config_hash=whole_hash or config_hash(_without_path(to_mapping(task), robot)),
-        figures=dict(figures or {}),
+        figures=dict(metrics or {}),
         commands=task.commands.limits(robot),
-        height_map=HeightMap(*MAP.scale(robot), age=scan.delay * float(task.nominal(robot).control_step[0]))
-        if task.sees
+        height_map=HeightMap(*POLICY_GRID.scale(robot), age=scan.delay * float(task.nominal(robot).control_step[0]))
+        if task.needs_height_map
         else None,
         plugins=used_plugins(task.reward, task.observations),
         version=__version__,
@@ -112,8 +112,8 @@ def contract_from_task(
 
 
 def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, Any]:
-    """Return a configuration, of a run or a task, with a robot that does not ship by name: its folder may move."""
-    if robot.ships:
+    """Return the configuration of a run or task with the robot's name instead of its path, which may change."""
+    if robot.is_builtin:
         return config
     if isinstance(config.get("task"), dict):
         return {**config, "task": _without_path(config["task"], robot)}
@@ -121,15 +121,15 @@ def _without_path(config: dict[str, Any], robot: RobotDescription) -> dict[str, 
 
 
 def _task_mapping(task: TaskConfig) -> dict[str, Any]:
-    """Return the part of a task that the contract does not state itself."""
+    """Return the fields of a task that are not fields of the contract."""
     data = to_mapping(task)
-    if task.sees:
-        del data["terrain"]["scan"]["delay"]  # the age of the contract's map
+    if task.needs_height_map:
+        del data["terrain"]["scan"]["delay"]  # in the contract as the age of the map
     return _without_stated(data)
 
 
 def _without_stated(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return a task's table without what the contract states itself."""
+    """Return a task's table without the fields of the contract."""
     return {
         key: _without_stated(value, f"{prefix}{key}.") if isinstance(value, Mapping) else value
         for key, value in table.items()
@@ -138,11 +138,11 @@ def _without_stated(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any
 
 
 def task_from_contract(contract: Contract, robot: RobotDescription | None = None) -> TaskConfig:
-    """Return the task that a policy was made for.
+    """Return the task for which a policy was made.
 
     Args:
-        contract: the policy's.
-        robot: the robot's description; the one of the contract's name that ships, if None.
+        contract: contract of the policy.
+        robot: description of the robot. Defaults to the robot of the contract's name that ships with surefoot.
 
     Raises:
         SurefootError: a key that contracts do not have, or values that do not fit the robot.
@@ -168,13 +168,13 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         rest=contract.rest,
         commands=_commands(contract, task.commands),
         params=task.params | _assumed_params(contract, robot),
-        # The terrain of its training is not what a robot stands on that runs it.
+        # The terrain of the training is not the terrain on which the policy runs.
         terrain=TerrainConfig(scan=scan),
     )
 
 
 def _names(table: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
-    """Yield the dotted names in a table."""
+    """Yield the dotted names of all entries in nested tables."""
     for key, value in table.items():
         yield f"{prefix}{key}"
         if isinstance(value, Mapping):
@@ -182,7 +182,7 @@ def _names(table: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, int, FeedbackConfig]:
-    """Return what the feedback is added to, how many of its numbers are memory, and bounds on each coordinate."""
+    """Return the kind of action, the number of memory outputs, and the bounds of the feedback."""
     prefix = contract.action_names[0].partition(".")[0] if contract.action_names else ""
     kind: ActionKind = "joint" if prefix == "joint" else "angle" if prefix == "angle" else "leg"
     memory = sum(name.startswith(f"{MEMORY}.") for name in contract.action_names)
@@ -193,22 +193,22 @@ def _feedback(contract: Contract, robot: RobotDescription) -> tuple[ActionKind, 
         )
     ends = np.array([contract.low, contract.high])[:, : len(names) - memory]
     if kind == "angle":
-        least, greatest = robot.motor_limits
-        if wrong := np.flatnonzero((ends[0] < least - 1e-9) | (ends[1] > greatest + 1e-9)).tolist():
-            one = wrong[0]
+        lowest, highest = robot.motor_limits
+        if outside := np.flatnonzero((ends[0] < lowest - 1e-9) | (ends[1] > highest + 1e-9)).tolist():
+            k = outside[0]
             raise SurefootError(
-                f"bounds of {names[one]} are {ends[0, one]:g} to {ends[1, one]:g} rad; the joint of {robot.name} "
-                f"allows {least[one]:g} to {greatest[one]:g}"
+                f"bounds of {names[k]} are {ends[0, k]:g} to {ends[1, k]:g} rad; the joint of {robot.name} "
+                f"allows {lowest[k]:g} to {highest[k]:g}"
             )
         return kind, memory, FeedbackConfig()
     coordinates = ("joint",) if kind == "joint" else robot.coordinates
     low, high = (np.reshape(bound, (len(coordinates), -1)) for bound in ends)
     bounds = zip(coordinates, low.min(axis=1).tolist(), high.max(axis=1).tolist(), strict=True)
-    return kind, memory, FeedbackConfig(**{name: (least, most) for name, least, most in bounds})
+    return kind, memory, FeedbackConfig(**{name: (lowest, highest) for name, lowest, highest in bounds})
 
 
 def _commands(contract: Contract, config: CommandConfig) -> CommandConfig:
-    """Return how commands are drawn, within the contract's limits."""
+    """Return the configuration of commands with the contract's limits as ranges."""
     limits = contract.commands
     if limits is None:
         return replace(config, forward=(0.0, 0.0), sideways=(0.0, 0.0), yaw_rate=(0.0, 0.0))

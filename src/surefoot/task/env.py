@@ -1,4 +1,4 @@
-"""Locomotion environments: a batch of robots on one task, as a Gymnasium vector environment."""
+"""Locomotion environment: a Gymnasium vector environment of robots with one task."""
 
 from __future__ import annotations
 
@@ -27,33 +27,38 @@ from surefoot.world.interface import Simulation, SimulationFactory, WorldConfig
 __all__ = ["Camera", "LocomotionEnv", "SimulationFactory"]
 
 Camera = Callable[[Array, Array, Array, Ground], NDArray[np.uint8]]
-"""Takes pictures (N, height, width, 3): base positions (N, 3), orientations (N, 4), motor angles (N, M), ground."""
+"""Function that renders images (N, height, width, 3) from base positions (N, 3), orientations (N, 4), motor angles (N,
+M) and the ground."""
 Kind = TypeVar("Kind", bound=Component)
 
 
 class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
-    """A batch of robots on one task.
+    """A batch of robots with one task.
 
-    Observations (N, O) are raw SI readings. Actions (N, A) in [-1, 1] span the feedback's bounds: each coordinate of
-    leg space in turn, of every leg, or every motor's angle; see `HybridGait`. Rewards are the task's, see
-    `task.reward`. An episode is terminated by a fall or a diverged simulation, and truncated after `max_steps`, see
-    `task.terminations`. With `autoreset`, a robot whose episode is over starts anew in the same step
-    (`AutoresetMode.SAME_STEP`): the observation returned is the new episode's first one, and `info` holds `final_obs`
-    and, for every episode that ended, its `figures`. Without it, time stands still for a robot whose episode is over,
-    until its reset.
+    Observations (N, O) are raw sensor readings in SI units. Actions (N, A) in [-1, 1] span the bounds of the feedback:
+    coordinate by coordinate of leg space for all legs, or one per motor; see `HybridGait`. Rewards are the weighted
+    terms of the task, see `task.reward`. An episode is terminated by a fall or a diverged simulation, and truncated
+    after `max_steps`; see `task.terminations`.
 
-    What a task can do besides is in its components, see `task.components`.
+    With `autoreset`, a robot whose episode ended is reset in the same step (`AutoresetMode.SAME_STEP`): `step` returns
+    the first observation of the new episode, and `info` holds `final_obs` and the metrics of all episodes that ended
+    (`figures`). Without it, the robot is frozen until its reset.
+
+    Optional capabilities (commands, pushes, terrain, randomization) are components, see `task.components`.
 
     Args:
-        task: its configuration, which must fit its robot.
+        task: configuration of the task.
         num_envs: number of robots.
-        make_world: makes the simulation, such as `surefoot.world.registry.find_world` returns.
-        seed: seeds every stream of random numbers.
-        autoreset: whether robots start anew by themselves.
-        threads: threads of the simulation; 0 means one a core.
-        source: command generator; defaults to the one that the task configures.
-        camera: takes the pictures of `render`; without it there are none.
+        make_world: factory of the simulation, for example from `surefoot.world.registry.find_world`.
+        seed: seed of all random streams.
+        autoreset: whether robots are reset when their episodes end.
+        threads: threads of the simulation; 0 means one per core.
+        source: command generator. Defaults to the one that the task configures.
+        camera: renderer for `render`, which otherwise returns None.
         step_info: whether `info` describes every step; see `StepInfo`.
+
+    Raises:
+        SurefootError: a task that does not fit its robot.
     """
 
     metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": ["rgb_array"]}  # noqa: RUF012
@@ -87,7 +92,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self.action_space = batch_space(self.single_action_space, num_envs)
 
     def _make(self, seed: int) -> None:
-        """Make components, world and state, and start all robots."""
+        """Create components, world and state, and start all robots."""
         task, tiles = self.task, self.task.terrain.build(seed)
         self.components = make_components(
             Setup(task, self.robot, self.gait, self.nominal, tiles, self.num_envs, seed, self._source, self._step_info)
@@ -107,8 +112,8 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         self._start(np.arange(self.num_envs))
 
     def component(self, kind: type[Kind]) -> Kind:
-        """Return the component of a kind; the task must have that capability."""
-        return next(one for one in self.components if isinstance(one, kind))
+        """Return the component of a class, which the task must have."""
+        return next(component for component in self.components if isinstance(component, kind))
 
     def _start(self, rows: NDArray[np.int64]) -> None:
         """Start new episodes of some robots."""
@@ -122,9 +127,9 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start all robots anew; with a seed, every stream of random numbers too.
+        """Reset all robots and return their observations; a seed also restarts all random streams.
 
-        `options={"reset_mask": (N,) bool}` resets only some of them.
+        `options={"reset_mask": (N,) bool}` resets only some robots.
         """
         rows = np.arange(self.num_envs)
         if options and "reset_mask" in options:
@@ -139,7 +144,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
     def step(
         self, actions: ArrayLike
     ) -> tuple[NDArray[np.float32], Array, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
-        """Run one control step of every robot."""
+        """Apply actions (N, A) for one control step; return observation, reward, terminated, truncated and info."""
         state, task = self.state, self.task
         for component in self.components:
             component.before_step(state)
@@ -171,42 +176,42 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         return self.history.reshape(self.num_envs, -1).astype(np.float32)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture (height, width, 3) of each robot; None without a camera."""
+        """Return an image (height, width, 3) of each robot, or None without a camera."""
         if self._camera is None:
             return None
         truth = self.state.truth
-        pictures = self._camera(truth.base_position_world, truth.base_quat_world, truth.motor_angle, self.state.ground)
-        return tuple(pictures)
+        images = self._camera(truth.base_position_world, truth.base_quat_world, truth.motor_angle, self.state.ground)
+        return tuple(images)
 
     def _privileged(self) -> list[tuple[list[str], Array]]:
         return [part for component in self.components for part in component.privileged(self.state)]
 
     def privileged(self) -> NDArray[np.float32]:
-        """Return what a critic may observe in simulation in addition to the observation (N, P).
+        """Return the privileged observations (N, P), which a critic may receive in simulation.
 
-        The true state of the base [m, m/s, rad] and the motors [rad, rad/s], and what components add: heights of the
-        ground, heading error, phase of the reference, pushes [100 N], and physical parameters that were drawn, from -1
-        to 1 over their ranges.
+        They are the true state of the base [m, m/s, rad] and the motors [rad, rad/s], and observations of components:
+        heights of the ground, heading error, phase of the reference, pushes [100 N], and randomized physical
+        parameters, scaled to -1 to 1 over their ranges.
         """
         return np.concatenate([values for _, values in self._privileged()], axis=1).astype(np.float32)
 
     @property
     def privileged_columns(self) -> list[str]:
-        """Names of the numbers of `privileged`, in order."""
+        """Names of the columns of `privileged`, in order."""
         return [name for names, _ in self._privileged() for name in names]
 
     def metrics(self) -> dict[str, Any]:
-        """Return what components have for the log of a training, by name."""
+        """Return metrics of components for the training log, by name."""
         return {name: value for component in self.components for name, value in component.metrics().items()}
 
     def get_state(self) -> dict[str, Any]:
-        """Return the whole state of the environment, for an exact resume."""
+        """Return the complete state of the environment, for an exact resume."""
         arrays = {name: array.copy() for name, array in self._arrays().items()}
-        streams = {name: [one.bit_generator.state for one in streams] for name, streams in self._streams().items()}
+        streams = {name: [stream.bit_generator.state for stream in group] for name, group in self._streams().items()}
         return {"world": self.world.get_state(), **arrays, **streams}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Continue from `get_state`, exactly."""
+        """Restore a state from `get_state`, to continue exactly from there."""
         self.world.set_state(state["world"])
         self.state.observe_world(self.world.readings())
         for name, array in self._arrays().items():

@@ -1,4 +1,4 @@
-"""Metrics of episodes and of control steps, for the `info` of an environment."""
+"""Metrics of episodes and control steps, for the `info` of an environment."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from surefoot.task.state import EnvState
 
 
 class EpisodeMetrics(Component):
-    """Length and return of episodes, and metrics of those that ended."""
+    """Length and return of each episode, and metrics of the episodes that ended."""
 
     def reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
-        """Begin to count at zero."""
+        """Reset length and return to zero."""
         state.steps[rows], state.returns[rows] = 0, 0.0
 
     def after_step(self, state: EnvState) -> None:
@@ -25,26 +25,27 @@ class EpisodeMetrics(Component):
         state.returns += state.reward
 
     def info(self, state: EnvState) -> Mapping[str, Any]:
-        """Return robots that diverged, and `figures` of episodes that ended: arrays (N,), zero for other robots."""
+        """Return which robots diverged, and the metrics `figures` of episodes that ended, (N,) with zero elsewhere."""
         done, diverged = state.done, state.truth.diverged
         info: dict[str, Any] = {"diverged": diverged.copy()} if diverged.any() else {}
         if not done.any():
             return info
         distance = state.truth.base_position_world[:, 0] - state.start_position[:, 0]
         time = state.readings.time
-        figures = {"return": state.returns, "steps": state.steps, "distance": distance, "duration": time}
-        return info | {"figures": {name: np.where(done, x, 0.0) for name, x in figures.items()}, "_figures": done}
+        metrics = {"return": state.returns, "steps": state.steps, "distance": distance, "duration": time}
+        return info | {"figures": {name: np.where(done, x, 0.0) for name, x in metrics.items()}, "_figures": done}
 
 
 class StepInfo(Component):
-    """Description of every control step."""
+    """Entries of `info` that describe the control step that just ended."""
 
     def info(self, state: EnvState) -> Mapping[str, Any]:
-        """Return what `info` has of the control step that just ended, for N robots with M motors.
+        """Return quantities of the control step that just ended, for N robots with M motors.
 
-        `time` of the episode [s] (N,); `reward_terms`, the parts of the reward by name (N,); `velocity` (N, 3), mean
-        speeds forward and to the left [m/s] and yaw rate [rad/s]; `torque` [N m] (N, M) at its end; `fell` (N,). With
-        commands, the `command` that is followed and the `tracking_error`, velocity minus command, (N, 3) each.
+        `time` in the episode (N,) [s]; `reward_terms`, the contributions of reward terms by name (N,); `velocity`
+        (N, 3), mean speeds forward and to the left [m/s] and yaw rate [rad/s]; `torque` at the end of the step (N, M)
+        [N m]; `fell` (N,). With commands also the filtered `command` and the `tracking_error`, velocity minus command,
+        (N, 3) each.
         """
         info: dict[str, Any] = {
             "time": state.readings.time.copy(),
@@ -56,5 +57,5 @@ class StepInfo(Component):
         if state.gait_state is not None:
             info["command"] = state.filtered_command.copy()
             info["tracking_error"] = info["velocity"] - info["command"]
-        # Gymnasium's convention: which robots each entry is of.
+        # By Gymnasium's convention, entries with an underscore mark the robots for which an entry is valid.
         return info | {f"_{name}": np.ones(len(state.over), np.bool_) for name in info}

@@ -1,9 +1,9 @@
-"""Where the feet of a `FollowingReference` land on a map of heights: beside holes.
+"""Choice of footholds next to holes, on a map of terrain heights, for the feet of a `FollowingReference`.
 
-When a foot begins to swing, the place where its stride would end is looked up on the map. If there is a hole, it lands
-on the nearest point of the map beside it, within a radius. In stance it keeps that place. A hole is what a
-morphological closing (a dilation, then an erosion) along the map's rows or columns raises: gaps, and no steps, slopes
-or wide hollows. So is ground far below what is next to it, as the other side of a gap may be beyond the map.
+When a foot starts to swing, the nominal end of its stride is looked up on the map. If there is a hole, the foot lands
+on the nearest suitable point of the map within a radius, and keeps the offset during stance. Holes are points that a
+morphological closing (dilation, then erosion) along the map's rows or columns raises: gaps, but not steps, slopes or
+wide hollows. Ground far below its neighbourhood is also a hole, because the far side of a gap may be beyond the map.
 """
 
 from __future__ import annotations
@@ -19,48 +19,50 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.task.commands import CommandState
 from surefoot.task.component import RobotComponent
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.reference import FollowingReference
 from surefoot.task.state import RobotState
 from surefoot.world.interface import SensorReadings
 
-HOLE = 0.35
-"""Depth of a hole, from what is around it, in lengths of the straight leg."""
-_WIDTH = 9
-"""Points that a hole is less wide than: a foot can step over it."""
-_CLIFF, _NEAR = 0.6, 7
-"""Depth of a hole, in lengths of the leg, from the highest of as many points around it as this: the other side of a gap
-may be beyond the map. No stairs are that steep."""
-DEEP = 1.5
-"""Depth below where a robot stands from which ground is no foothold, however wide it is, in lengths of the leg."""
-CHOSEN = 0.3
-"""Part of the swing after which the foothold stays."""
-_FOOTPRINT, _STANDS = 0.6, 0.7
-"""Distance from the base's origin up to which a robot stands, in lengths of the leg, and the quantile of the heights
-there that is its level: stones are more of it than the ground between them."""
-_LEAST_HOLE = 30
-"""Points that holes have, with those beside them, for which a gait over holes begins."""
-_ENTERS, _LEAVES = 1.0, 3.0
-"""Times in which it begins and ends [sqrt(l / g)]."""
-_LEARNS = 0.3
-"""Share of what a landing changes in the mean of what feet have missed their places by."""
-_KEEPS = 1.0
-"""Weight of the squared distance from the place chosen before in this swing, over that from the stride's own end."""
-_FORBIDDEN, _MARGIN = 1000.0, 2.0
-"""What a foothold in a hole or on a point next to one costs, more than any distance, and what one next to those points
-costs, as maps are shifted and landings scatter: squared distances in spacings of the map."""
-_ROW = 3
-"""Low points among the nine around one, itself with them, from which it is a hole even where the median sees none."""
-_CELL = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
-"""Points around a place on the map, from the one behind it and to its right."""
+MIN_HOLE_DEPTH = 0.35
+"""Minimum depth of a hole below its surroundings, in lengths of the straight leg."""
+_CLOSING_WIDTH = 9
+"""Width of the closing in map points. Narrower depressions are holes, which a foot can step over."""
+_MIN_CLIFF_DEPTH, _CLIFF_WINDOW = 0.6, 7
+"""Minimum depth of a hole below the highest point in a window of this many map points, in lengths of the leg, for gaps
+whose far side is beyond the map. No stairs are that steep."""
+MAX_FOOTHOLD_DEPTH = 1.5
+"""Maximum depth of a foothold below the ground under the robot, for depressions of any width, in lengths of the leg."""
+FOOTHOLD_FIXED_PHASE = 0.3
+"""Swing phase after which the foothold no longer changes."""
+_LEVEL_RADIUS, _LEVEL_QUANTILE = 0.6, 0.7
+"""Half side of the square around the base's origin from which the ground level is estimated, in lengths of the leg, and
+quantile of the heights in it. On stepping stones, stones cover more of the square than the gaps between them."""
+_MIN_HOLE_POINTS = 30
+"""Minimum number of hole points on the map, including the points next to holes, that activates the gait over holes."""
+_BLEND_IN_TIME, _BLEND_OUT_TIME = 1.0, 3.0
+"""Times over which the gait over holes is blended in and out [sqrt(l / g)]."""
+_MIN_LEARNING_RATE = 0.3
+"""Minimum weight of a new landing in the running mean of landing errors."""
+_CHANGE_COST = 1.0
+"""Relative cost of moving away from the foothold chosen before in this swing (1: same as deviating from the nominal
+one)."""
+_HOLE_COST, _MARGIN_COST = 1000.0, 2.0
+"""Cost of a foothold in a hole or next to one, higher than the cost of any distance, and cost of a foothold one point
+further away, since maps are shifted and landings scatter. Unit: squared map spacings."""
+_MIN_LOW_POINTS = 3
+"""Minimum number of low points in a 3 by 3 window that makes its middle a hole, even if the median filter removes
+it."""
+_CELL_CORNERS = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+"""Index offsets of the four map points around a position, relative to the point behind it and to its right."""
 
 
 class Footholds(RobotComponent):
-    """Places where feet of N robots with L legs lift off and land.
+    """Foothold choice for N robots with L legs.
 
     Args:
-        reference: with `foothold_radius`.
-        num_envs: robots.
+        reference: reference gait with a `foothold_radius`.
+        num_envs: number of robots.
     """
 
     prefix = "footholds"
@@ -68,198 +70,208 @@ class Footholds(RobotComponent):
 
     def __init__(self, reference: FollowingReference, num_envs: int) -> None:
         self.reference, robot = reference.over_holes or reference, reference.robot
-        self._changes = reference.over_holes is not None
-        ahead, left = (np.array(places) for places in MAP.scale(robot))
+        self._has_gait_over_holes = reference.over_holes is not None
+        ahead, left = (np.array(places) for places in POLICY_GRID.scale(robot))
         self._shape, self._corner = (len(ahead), len(left)), np.array([ahead[0], left[0]])
         length = robot.leg_geometry.length
-        self._spacing = MAP.spacing * length
+        self._spacing = POLICY_GRID.spacing * length
         radius = reference.foothold_radius / self._spacing
-        self._ways = np.array([1, "abduction" in robot.coordinates])
-        """Whether feet can be moved ahead and aside (2,)."""
+        self._free_axes = np.array([1, "abduction" in robot.coordinates])
+        """1 for each axis (forward, left) along which footholds can move, otherwise 0 (2,)."""
         steps = np.arange(-np.floor(radius), np.floor(radius) + 1)
         around = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1).reshape(-1, 2)
-        self._around = np.unique(around[np.linalg.norm(around, axis=1) <= radius + 1e-9] * self._ways, axis=0)
-        """Points of the map on which feet may land, from the one nearest to the end of a stride (K, 2)."""
-        self._under = robot.leg_mounts + self.reference.places
-        """Feet below the legs' mounts, from the base's origin (L, 3) [m]."""
-        near = [np.flatnonzero(np.abs(np.array(places)) <= _FOOTPRINT * length) for places in (ahead, left)]
+        self._offsets = np.unique(around[np.linalg.norm(around, axis=1) <= radius + 1e-9] * self._free_axes, axis=0)
+        """Candidate footholds, as map index offsets from the point nearest to the end of a stride (K, 2)."""
+        self._neutral_feet = robot.leg_mounts + self.reference.neutral_feet
+        """Neutral foot positions relative to the base's origin (L, 3) [m]."""
+        near = [np.flatnonzero(np.abs(np.array(places)) <= _LEVEL_RADIUS * length) for places in (ahead, left)]
         self._footprint = tuple(slice(places[0], places[-1] + 1) for places in near)
-        self._hole, self._cliff, self._deep = HOLE * length, _CLIFF * length, DEEP * length
-        self.lift_off, self.landing, self.missed = np.zeros((3, num_envs, len(self._under), 2))
-        """How far feet stood beside the places of their strides when they lifted off, how far they land beside them,
-        and how far from there feedback and soft legs have let them land: forward and to the left (N, L, 2) [m]."""
-        self.landed = np.zeros((num_envs, len(self._under)))
-        """How often feet have landed (N, L)."""
+        self._hole_depth, self._cliff_depth = MIN_HOLE_DEPTH * length, _MIN_CLIFF_DEPTH * length
+        self._max_depth = MAX_FOOTHOLD_DEPTH * length
+        self.lift_off, self.landing, self.missed = np.zeros((3, num_envs, len(self._neutral_feet), 2))
+        """Offset of feet from their nominal stride position at lift-off and at landing, and mean error of landings
+        due to feedback and soft legs: forward and to the left (N, L, 2) [m] each."""
+        self.landed = np.zeros((num_envs, len(self._neutral_feet)))
+        """Number of landings of each foot (N, L)."""
         self.swung = np.zeros(self.landed.shape, np.bool_)
-        """Whether they were swinging (N, L)."""
+        """Whether feet were in swing in the last control step (N, L)."""
         self.over_holes = np.zeros(num_envs)
-        """Share of the gait over holes (N,)."""
+        """Blend weight of the gait over holes (N,), 0 to 1."""
 
     def reset(self, rows: NDArray[np.int64], state: RobotState) -> None:
-        """Let robots stand on the places of their strides."""
+        """Start episodes with nominal footholds."""
         for name in self.changing:
             getattr(self, name)[rows] = 0
         self.publish(state)
 
     def after_step(self, state: RobotState) -> None:
-        """Choose footholds on the newest map; without one they stay."""
+        """Choose footholds on the newest map, or keep them if there is no map."""
         assert state.gait_state is not None
         if state.heights is not None:
             self.choose(state.heights, state.gait_state, state.readings, state.duration)
         self.publish(state)
 
     def publish(self, state: RobotState) -> None:
-        """Write the footholds to what the gait follows."""
+        """Write the footholds to the gait's state."""
         assert state.gait_state is not None
         state.gait_state = replace(
             state.gait_state, lift_off=self.lift_off, landing=self.landing, over_holes=self.over_holes
         )
 
     def choose(self, heights: Array, state: CommandState, readings: SensorReadings, step: Array) -> None:
-        """Choose footholds for what the gait follows now.
+        """Choose the footholds of feet in early swing.
 
         Args:
-            heights: maps (N, P) [m], those of the grid `MAP`.
-            state: commands and phases.
-            readings: what robots measure.
+            heights: terrain heights at the points of `POLICY_GRID` (N, P) [m].
+            state: commands and phases of the gait.
+            readings: sensor readings, from which landing errors are measured.
             step: duration of the control step (N,) [s].
         """
         reference, cost = self.reference, self._cost(heights)
-        holes = (cost >= _FORBIDDEN).sum(axis=(1, 2)) >= _LEAST_HOLE
-        change = step / (np.where(holes, _ENTERS, _LEAVES) * reference.robot.natural_time)
+        holes = (cost >= _HOLE_COST).sum(axis=(1, 2)) >= _MIN_HOLE_POINTS
+        change = step / (np.where(holes, _BLEND_IN_TIME, _BLEND_OUT_TIME) * reference.robot.natural_time)
         self.over_holes = np.clip(self.over_holes + np.where(holes, change, -change), 0.0, 1.0)
-        part = reference.feet.swing_part(state.phase)
-        swings = part > 0.0
+        phase = reference.feet.swing_phase(state.phase)
+        swings = phase > 0.0
         ends = self._stride_ends(state)
-        self._learn(self.swung & ~swings & self.follows[:, None], ends, readings)
-        best = self._best(cost, ends + self._ahead(state), np.where(self.swung & swings, _KEEPS, 0.0))
+        self._learn_landing_error(self.swung & ~swings & self.is_active[:, None], ends, readings)
+        best = self._best(cost, ends + self._drift(state), np.where(self.swung & swings, _CHANGE_COST, 0.0))
         self.swung = swings
         self.lift_off = np.where(swings[..., None], self.lift_off, self.landing)
-        self.landing = np.where((swings & (part < CHOSEN))[..., None], best, self.landing)
+        self.landing = np.where((swings & (phase < FOOTHOLD_FIXED_PHASE))[..., None], best, self.landing)
 
-    def _best(self, cost: Array, ends: Array, keeps: Array) -> Array:
-        """Return how far beside the ends of their strides feet should land (N, L, 2) [m]: not at all, or on a point.
+    def _best(self, cost: Array, ends: Array, change_weight: Array) -> Array:
+        """Return the offset of the best foothold from the end of each stride (N, L, 2) [m].
+
+        Candidates are the end of the stride itself and the points of the map around it.
 
         Args:
-            cost: of the points of maps (N, X, Y).
-            ends: from the base's origin (N, L, 2) [m].
-            keeps: weights of the distance from the present choice (N, L).
+            cost: costs of the map's points (N, X, Y).
+            ends: ends of strides, relative to the base's origin (N, L, 2) [m].
+            change_weight: weights of the squared distance from the previous choice (N, L).
         """
         place = ((ends - self._corner) / self._spacing)[:, :, None]
-        points = np.rint(place) + self._around
-        # A foot that lands where its stride ends is on none of the points: all those around it count.
-        stays = self._at(cost, np.floor(place) + _CELL).max(axis=-1, keepdims=True)
-        there = np.concatenate([stays, self._at(cost, points)], axis=-1)
-        beside = np.concatenate([np.zeros_like(place), (points - place) * self._ways], axis=2)
-        change = beside - self.landing[:, :, None] / self._spacing
-        total = there + (beside**2).sum(axis=-1) + keeps[..., None] * (change**2).sum(axis=-1)
-        best = np.take_along_axis(beside, np.argmin(total, axis=-1)[..., None, None], axis=2)
+        points = np.rint(place) + self._offsets
+        # The end of a stride lies between points of the map: it costs as much as the worst of the four around it.
+        nominal = self._at(cost, np.floor(place) + _CELL_CORNERS).max(axis=-1, keepdims=True)
+        terrain_cost = np.concatenate([nominal, self._at(cost, points)], axis=-1)
+        offset = np.concatenate([np.zeros_like(place), (points - place) * self._free_axes], axis=2)
+        change = offset - self.landing[:, :, None] / self._spacing
+        total = terrain_cost + (offset**2).sum(axis=-1) + change_weight[..., None] * (change**2).sum(axis=-1)
+        best = np.take_along_axis(offset, np.argmin(total, axis=-1)[..., None, None], axis=2)
         return np.asarray(self._spacing * best[:, :, 0])
 
     def _at(self, cost: Array, points: Array) -> Array:
-        """Return the costs (N, L, K) of points (N, L, K, 2) of maps, or of the nearest ones at the border."""
+        """Return the costs (N, L, K) at map indices (N, L, K, 2), which are clipped to the map."""
         i, j = np.moveaxis(np.clip(points, 0, np.array(self._shape) - 1).astype(np.int64), -1, 0)
         return np.asarray(cost[np.arange(len(cost))[:, None, None], i, j])
 
     @property
-    def follows(self) -> NDArray[np.bool_]:
-        """Whether feet go to their footholds (N,), not as another gait has them."""
-        return self.over_holes == 1.0 if self._changes else np.ones(len(self.over_holes), np.bool_)
+    def is_active(self) -> NDArray[np.bool_]:
+        """Whether feet fully use the chosen footholds (N,); false while another gait is blended in."""
+        return self.over_holes == 1.0 if self._has_gait_over_holes else np.ones(len(self.over_holes), np.bool_)
 
     def landing_places(self, state: CommandState) -> Array:
-        """Return where feet will land in the heading frame, from the base's origin now (N, L, 2) [m]."""
-        return self._stride_ends(state) + self._ahead(state) + self.landing
+        """Return where feet will land, in the heading frame relative to the current base origin (N, L, 2) [m]."""
+        return self._stride_ends(state) + self._drift(state) + self.landing
 
     def _stride_ends(self, state: CommandState) -> Array:
-        """Return where strides end, from the base's origin (N, L, 2) [m]."""
+        """Return the nominal ends of strides relative to the base's origin (N, L, 2) [m]."""
         step = 0.5 * state.activity[:, None, None] * self.reference.strides(state.command)
-        return np.asarray(self._under[:, :2] + step)
+        return np.asarray(self._neutral_feet[:, :2] + step)
 
-    def _ahead(self, state: CommandState) -> Array:
-        """Return what there is beside (N, L, 2) [m]: what feet miss, and how far the base goes until they land."""
+    def _drift(self, state: CommandState) -> Array:
+        """Return the mean landing error plus the motion of the base until the landing (N, L, 2) [m]."""
         feet, command = self.reference.feet, state.command
-        part = feet.swing_part(state.phase)
-        rest = (1.0 - part) * (1.0 - feet.duty_factor) / self.reference.frequency(command)[:, None]
-        return np.asarray(self.missed + np.where(part > 0.0, rest, 0.0)[..., None] * command[:, None, :2])
+        phase = feet.swing_phase(state.phase)
+        remaining = (1.0 - phase) * (1.0 - feet.duty_factor) / self.reference.frequency(command)[:, None]
+        return np.asarray(self.missed + np.where(phase > 0.0, remaining, 0.0)[..., None] * command[:, None, :2])
 
-    def _learn(self, lands: NDArray[np.bool_], ends: Array, readings: SensorReadings) -> None:
-        """Take from feet that land (N, L) how far they are from the ends of their strides (N, L, 2) and `landing`."""
+    def _learn_landing_error(self, lands: NDArray[np.bool_], ends: Array, readings: SensorReadings) -> None:
+        """Update the mean landing error `missed` of feet that land.
+
+        Args:
+            lands: whether each foot lands in this control step (N, L).
+            ends: ends of strides, relative to the base's origin (N, L, 2) [m].
+            readings: sensor readings, from which foot positions are computed.
+        """
         roll, pitch, _ = readings.roll_pitch_yaw.T[..., None]
         x, y, z = np.moveaxis(self.reference.robot.foot_positions(readings.motor_angle), -1, 0)
         y, z = y * np.cos(roll) - z * np.sin(roll), y * np.sin(roll) + z * np.cos(roll)
         places = np.stack([x * np.cos(pitch) + z * np.sin(pitch), y], axis=-1)
         self.landed += lands
-        share = lands * np.maximum(_LEARNS, 1.0 / np.maximum(self.landed, 1.0))
-        self.missed += share[..., None] * (places - ends - self.landing - self.missed)
+        rate = lands * np.maximum(_MIN_LEARNING_RATE, 1.0 / np.maximum(self.landed, 1.0))
+        self.missed += rate[..., None] * (places - ends - self.landing - self.missed)
 
     def _cost(self, heights: Array) -> Array:
-        """Return what points of maps cost as footholds (N, X, Y) [squared spacings of the map]."""
+        """Return the foothold cost of each map point (N, X, Y) [squared map spacings]."""
         heights = heights.reshape(len(heights), *self._shape)
-        # The median leaves out points that are wrong or not known.
-        grid = _spread(heights, 3, _median)
+        # The median removes single points that are wrong or unknown.
+        grid = _filter(heights, 3, _median)
         closed = np.maximum(_closing(grid, 1), _closing(grid, 2))
-        # Stairs that meet in a corner are a valley, but not below where a robot stands.
+        # A corner between two flights of stairs looks like a valley, but is not below the robot's ground level.
         rows, columns = self._footprint
-        level = np.quantile(grid[:, rows, columns], _STANDS, axis=(1, 2))[:, None, None]
-        above = _spread(grid, _NEAR, _greatest)
+        level = np.quantile(grid[:, rows, columns], _LEVEL_QUANTILE, axis=(1, 2))[:, None, None]
+        above = _filter(grid, _CLIFF_WINDOW, _maximum)
         holes, unfiltered = (
-            ((closed - low > self._hole) | (above - low > self._cliff)) & (low < level - 0.5 * self._hole)
-            | (low < level - self._deep)
+            ((closed - low > self._hole_depth) | (above - low > self._cliff_depth))
+            & (low < level - 0.5 * self._hole_depth)
+            | (low < level - self._max_depth)
             for low in (grid, heights)
         )
-        # Of a gap that is one point wide the median leaves nothing; wrong points are alone, or two.
-        holes |= unfiltered & (_spread(unfiltered.astype(float), 3, _total) >= _ROW)
-        beside = _spread(holes.astype(float), 3, _greatest)
-        return np.asarray(_FORBIDDEN * (holes + beside) + _MARGIN * _spread(beside, 3, _greatest))
+        # The median removes gaps that are one point wide. Wrong points come in ones or twos.
+        holes |= unfiltered & (_filter(unfiltered.astype(float), 3, _sum) >= _MIN_LOW_POINTS)
+        near = _filter(holes.astype(float), 3, _maximum)
+        return np.asarray(_HOLE_COST * (holes + near) + _MARGIN_COST * _filter(near, 3, _maximum))
 
 
-def _spread(grid: Array, width: int, combine: Callable[[list[Array]], Array]) -> Array:
-    """Return grids (N, X, Y) of which each point combines those around it: of a row of `width` points, then of columns.
+def _filter(grid: Array, width: int, combine: Callable[[list[Array]], Array]) -> Array:
+    """Filter grids (N, X, Y) with a window of `width` points, first along rows and then along columns.
 
-    Beyond the border are its mirrored numbers, so that a median leaves out single ones there too.
+    Values are mirrored at the border, so that a median also removes single points there.
     """
     for axis in (1, 2):
-        grid = _along(_wider(grid, axis, width // 2, "reflect"), axis, width, combine)
+        grid = _combine_along(_pad(grid, axis, width // 2, "reflect"), axis, width, combine)
     return grid
 
 
 def _closing(grid: Array, axis: int) -> Array:
-    """Return the closing of grids (N, X, Y) along an axis: what is lower than both sides is raised to the lower one.
+    """Return the morphological closing of grids (N, X, Y) along an axis: valleys are filled up to their lower side.
 
-    Along one axis, as a slanting edge of a step that goes out of the map is none of its valleys then. Beyond the border
-    its numbers go on.
+    A closing along one axis does not mistake the slanted edge of a step at the border of the map for a valley. Border
+    values are repeated beyond the map.
     """
-    wide = _wider(grid, axis, 2 * (_WIDTH // 2), "edge")
-    return _along(_along(wide, axis, _WIDTH, _greatest), axis, _WIDTH, _least)
+    wide = _pad(grid, axis, 2 * (_CLOSING_WIDTH // 2), "edge")
+    return _combine_along(_combine_along(wide, axis, _CLOSING_WIDTH, _maximum), axis, _CLOSING_WIDTH, _minimum)
 
 
-def _wider(grid: Array, axis: int, border: int, mode: Literal["reflect", "edge"]) -> Array:
-    """Return grids (N, X, Y) with a border at both ends of an axis."""
+def _pad(grid: Array, axis: int, border: int, mode: Literal["reflect", "edge"]) -> Array:
+    """Pad grids (N, X, Y) at both ends of an axis."""
     return np.pad(grid, [(border, border) if k == axis else (0, 0) for k in range(3)], mode=mode)
 
 
-def _along(grid: Array, axis: int, width: int, combine: Callable[[list[Array]], Array]) -> Array:
-    """Return the combinations of `width` points along an axis of grids, as many as are within them."""
+def _combine_along(grid: Array, axis: int, width: int, combine: Callable[[list[Array]], Array]) -> Array:
+    """Combine all windows of `width` neighbouring points along an axis."""
     count = grid.shape[axis] - width + 1
     return combine([grid[(slice(None),) * axis + (slice(k, k + count),)] for k in range(width)])
 
 
-def _greatest(parts: list[Array]) -> Array:
-    """Return the greatest number of each place: a dilation."""
+def _maximum(parts: list[Array]) -> Array:
+    """Return the elementwise maximum (dilation)."""
     return functools.reduce(np.maximum, parts)
 
 
-def _least(parts: list[Array]) -> Array:
-    """Return the least number of each place: an erosion."""
+def _minimum(parts: list[Array]) -> Array:
+    """Return the elementwise minimum (erosion)."""
     return functools.reduce(np.minimum, parts)
 
 
-def _total(parts: list[Array]) -> Array:
-    """Return the sum of each place: a count."""
+def _sum(parts: list[Array]) -> Array:
+    """Return the elementwise sum (count)."""
     return functools.reduce(np.add, parts)
 
 
 def _median(parts: list[Array]) -> Array:
-    """Return the median of each place of three numbers."""
+    """Return the elementwise median of three arrays."""
     one, two, three = parts
     return np.asarray(np.maximum(np.minimum(one, two), np.minimum(np.maximum(one, two), three)))

@@ -1,4 +1,4 @@
-"""Components of a gait that follows commands, the same in simulation and on the robot."""
+"""Construction of the components of a gait that follows commands, the same in simulation and on the robot."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from surefoot.task.gait import HybridGait
 def gait_components(
     gait: HybridGait, limits: CommandLimits, source: CommandGenerator, num_envs: int
 ) -> list[RobotComponent]:
-    """Return the components: commands, contact reflex and footholds, as far as the reference gait has them.
+    """Return the components of a gait: commands and, if its reference has them, contact reflex and footholds.
 
     Args:
         gait: the gait.
-        limits: of the commands.
-        source: gives the commands.
-        num_envs: robots.
+        limits: limits of the commands.
+        source: command generator.
+        num_envs: number of robots.
     """
     commands = CommandFilter(limits, gait.robot.natural_time, num_envs, gait.reference.frequency)
     components: list[RobotComponent] = [CommandFollower(source, commands)]

@@ -1,4 +1,4 @@
-"""Handcrafted gaits: foot trajectories with or without Raibert's controller, as files and as policies."""
+"""Handcrafted gaits: foot trajectories, optionally with Raibert's controller, and their files."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ from surefoot.task.raibert import RaibertConfig, RaibertController
 from surefoot.task.reference_config import FootReferenceConfig
 
 KEY = "handcrafted"
-"""Key in a task's file of everything besides the task."""
+"""Key of the controller and its tuning in a task file."""
 
 
 @dataclass(frozen=True)
 class OpenLoop:
-    """A policy that adds nothing to the reference."""
+    """A policy without feedback: the reference runs in open loop."""
 
     width: int
-    """Numbers of the feedback, A."""
+    """Number of feedback columns A."""
 
     def feedback(self, observation: ArrayLike) -> Array:
-        """Return feedback (N, A) of zero for observations (N, O)."""
+        """Return zero feedback (N, A) for observations (N, O)."""
         return np.zeros((len(np.asarray(observation)), self.width))
 
 
 @dataclass(frozen=True)
 class _Entry:
-    """The entry of a file under `KEY`."""
+    """Entry of a task file under `KEY`."""
 
     raibert: RaibertConfig | None = None
     about: dict[str, Any] = field(default_factory=dict)
@@ -46,17 +46,17 @@ class _Entry:
 
 @dataclass(frozen=True)
 class HandcraftedGait:
-    """A task whose reference is of kind foot, and its controller."""
+    """A task with foot trajectories as its reference, and a controller."""
 
     task: TaskConfig
     """Robot, foot trajectories, observations and bounds of the feedback."""
     raibert: RaibertConfig | None = None
-    """Gains of Raibert's controller; the trajectories alone, if none are given."""
+    """Gains of Raibert's controller. Defaults to open-loop trajectories."""
     about: dict[str, Any] = field(default_factory=dict)
-    """Settings and parameters of its tuning."""
+    """Settings and parameters of the tuning that produced the gait."""
 
     def __post_init__(self) -> None:
-        """Refuse a task with another reference."""
+        """Reject a task with another kind of reference."""
         if not isinstance(self.task.reference, FootReferenceConfig):
             raise SurefootError(
                 f"task.reference.kind is {self.task.reference.kind!r}; a handcrafted gait has a reference of kind foot"
@@ -66,7 +66,7 @@ class HandcraftedGait:
         """Return the controller.
 
         Raises:
-            SurefootError: foot trajectories that the robot does not allow.
+            SurefootError: foot trajectories out of the robot's range.
         """
         robot = RobotDescription.load(self.task.robot)
         assert isinstance(self.task.reference, FootReferenceConfig)
@@ -76,13 +76,13 @@ class HandcraftedGait:
         return RaibertController(robot, reference.feet, self.raibert, self.task.observations, self.task.history)
 
     def save(self, path: Path) -> None:
-        """Write a file of the task, without defaults, that `surefoot train` takes too.
+        """Write a task file without default values, which `surefoot train` also accepts.
 
-        The path of a robot's folder counts from the file's, so that both can be moved together.
+        The path of the robot's folder is relative to the file, so that both can be moved together.
         """
         data, default = to_mapping(self.task), to_mapping(TaskConfig())
         task = {name: value for name, value in data.items() if value != default[name]}
-        if "robot" in task and not RobotDescription.load(self.task.robot).ships:
+        if "robot" in task and not RobotDescription.load(self.task.robot).is_builtin:
             task["robot"] = os.path.relpath(Path(self.task.robot).resolve(), path.resolve().parent)
         task["reference"] = {"kind": "foot", "foot": data["reference"]["foot"]}
         gains = None if self.raibert is None else to_mapping(self.raibert)
@@ -90,14 +90,14 @@ class HandcraftedGait:
 
     @classmethod
     def load(cls, path: Path) -> HandcraftedGait:
-        """Read a file.
+        """Load a handcrafted gait from its task file.
 
         Raises:
-            SurefootError: it can't be read, is a task without a handcrafted gait, or does not fit.
+            SurefootError: a file that can't be read, has no handcrafted gait, or is invalid.
         """
         data = read_yaml(path)
         with prefix_errors(path):
             if KEY not in data:
-                raise SurefootError(f"{KEY} is missing; the file is of a task, not of a handcrafted gait")
+                raise SurefootError(f"{KEY} is missing; the file is a task without a handcrafted gait")
             entry = from_mapping(_Entry, data[KEY] or {}, KEY)
             return cls(load_task(str(path))[0], entry.raibert, entry.about)

@@ -1,4 +1,4 @@
-"""Configuration of waves and foot paths: each quantity is one number, or one for each leg by name."""
+"""Configuration of sinusoids and foot trajectories, with one value for all legs or one per leg."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from surefoot.task.foot_paths import LENGTHS, FootPaths
 from surefoot.task.periodic_references import Wave
 
 PerLeg = float | dict[str, float]
-"""One number, or one for each leg by name."""
+"""One value for all legs, or a table with one value per leg."""
 Length = Annotated[PerLeg, Within(0, 10)]
 
 
@@ -34,37 +34,37 @@ class WaveConfig:
     """rad"""
 
     def wave(self, where: str, legs: tuple[str, ...]) -> Wave:
-        """Return the sinusoids of legs; `where` is their name, for messages."""
+        """Return the sinusoids of the legs; `where` names the configuration in error messages."""
         return Wave(**_values_by_leg(self, where, legs))
 
 
 @dataclass(frozen=True)
 class FootConfig:
-    """Paths of the feet in their legs' planes. A duty factor of 0 or 1 would ask for an infinite speed."""
+    """Foot trajectories in the legs' planes. A duty factor of 0 or 1 would need an infinite foot speed."""
 
     frequency: Annotated[float, Within(0.01, 50)] = 2.0
     """Cycles a second [Hz]."""
     stroke: Annotated[PerLeg, Within(-10, 10)] = 0.1
-    """How far a foot goes backward in stance, relative to the base [m]; below 0: forward."""
+    """Distance that a foot moves backward in stance, relative to the base [m]; negative: forward."""
     clearance: Length = 0.03
-    """How far a foot is lifted in the middle of its swing [m]."""
+    """Lift of a foot in the middle of its swing [m]."""
     duty_factor: Annotated[PerLeg, Within(0.05, 0.95)] = 0.5
     """Fraction of the cycle that a foot is on the ground."""
     phase: Annotated[PerLeg, Within(-1000, 1000)] = 0.0
-    """When a foot's cycle begins, with its touchdown [cycles]."""
+    """Phase offset of a foot's cycle, which begins at touchdown [cycles]."""
     height: Length = 0.22
-    """Height of the motor axis over the foot's end at touchdown and lift-off [m]."""
+    """Height of the motor axis above the end of the foot at touchdown and lift-off [m]."""
     offset: Annotated[PerLeg, Within(-10, 10)] = 0.0
     """Position of the middle of the stroke, forward from the motor axis [m]."""
     depth: Length = 0.0
-    """How far a foot is pressed below that height in the middle of its stance [m]."""
+    """Depth below `height` to which a foot is commanded in the middle of its stance [m]."""
 
     def paths(self, robot: RobotDescription, relative: bool = False) -> FootPaths:
-        """Return the paths of a robot's feet.
+        """Return the foot trajectories of a robot.
 
         Args:
             robot: the robot.
-            relative: whether lengths count lengths l of the straight leg, and the frequency sqrt(g / l) / 2 pi.
+            relative: whether lengths are in lengths l of the straight leg, and the frequency in sqrt(g / l) / 2 pi.
         """
         values = _values_by_leg(self, "reference.foot", robot.leg_names)
         frequency = np.array(values.pop("frequency")[0])
@@ -86,7 +86,7 @@ def check_names(table: Mapping[str, Any], names: tuple[str, ...], where: str) ->
 
 
 def _values_by_leg(config: WaveConfig | FootConfig, where: str, legs: tuple[str, ...]) -> dict[str, Array]:
-    """Return each quantity of all legs (L,), of one number or of numbers by leg."""
+    """Return each quantity as an array with one value per leg (L,)."""
     values = {}
     for name, value in vars(config).items():
         if not isinstance(value, Mapping):

@@ -1,4 +1,4 @@
-"""The observation: named parts of the readings, in an order that the contract states."""
+"""Observations: named parts of sensor readings and commands, concatenated in the order that the contract states."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from surefoot.errors import SurefootError, choices, suggest
 from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
-from surefoot.task.height_scan import MAP
+from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.state import RobotState
 
 
@@ -23,15 +23,23 @@ class ObservationPart:
     unit: str
     frame: str
     columns: Callable[[RobotDescription], list[str]]
-    """Names of its numbers."""
+    """Function that returns the names of its columns."""
     read: Callable[[RobotState], Array]
-    """Its numbers (N, width)."""
+    """Function that returns its values (N, width)."""
     flipped: tuple[str, ...] = ()
-    """Columns that change their sign in the mirror image, of a plug-in; those of surefoot: `learn.symmetry`."""
+    """Columns of a plug-in that change sign in the mirror image. Built-in columns are in `learn.symmetry`."""
 
 
 def phase(time: Array, period: float | None) -> Array:
-    """Return sine and cosine (N, 2) of the phase of a reference at times (N,) [s]; it must have a period [s]."""
+    """Return sine and cosine (N, 2) of a reference's phase.
+
+    Args:
+        time: time since the episode's start (N,) [s].
+        period: period of the reference [s].
+
+    Raises:
+        SurefootError: a reference without a period.
+    """
     if period is None:
         raise SurefootError("observation 'reference_phase' needs a periodic reference; this task's has no period")
     angle = 2 * np.pi * time / period
@@ -39,27 +47,27 @@ def phase(time: Array, period: float | None) -> Array:
 
 
 def gait_phase(state: RobotState) -> Array:
-    """Return sine and cosine (N, 2) of the gait's phase; with commands, times the share of full steps."""
+    """Return sine and cosine (N, 2) of the gait's phase, scaled by the stepping amplitude if there are commands."""
     if state.gait_state is None:
         return phase(state.readings.time, state.gait.reference.period)
     return state.gait_state.activity[:, None] * phase(state.gait_state.phase, 1.0)
 
 
 def gravity(roll_pitch_yaw: Array) -> Array:
-    """Return the direction of gravity in the base frame (N, 3), a unit vector; (0, 0, -1) of a level base."""
+    """Return the unit vector of gravity in the base frame (N, 3): (0, 0, -1) for a level base."""
     roll, pitch, _ = roll_pitch_yaw.T
     return np.stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)], axis=-1)
 
 
 def _command(state: RobotState) -> Array:
-    """Return the commands (N, 3) that are followed; the task must have commands."""
+    """Return the commands (N, 3) that the gait follows."""
     if state.gait_state is None:
         raise SurefootError("observation 'command' needs commands with a range; this task has none")
     return state.gait_state.command
 
 
 def _footholds(state: RobotState) -> Array:
-    """Return how far feet land beside the places of their strides, in `foothold_radius`: x, then y (N, 2 L)."""
+    """Return foothold offsets from nominal stride positions in units of `foothold_radius`, x then y (N, 2 L)."""
     reference, feet = state.gait.reference, state.gait_state
     if feet is None or feet.landing is None:
         raise SurefootError("observation 'footholds' needs reference.foothold_radius; it is 0 here")
@@ -67,14 +75,14 @@ def _footholds(state: RobotState) -> Array:
 
 
 def _over_holes(state: RobotState) -> Array:
-    """Return the share of the gait over holes (N, 1), 0 to 1."""
+    """Return the blend weight of the gait over holes (N, 1), 0 to 1."""
     if state.gait_state is None or state.gait_state.over_holes is None:
         raise SurefootError("observation 'over_holes' needs reference.foothold_radius; it is 0 here")
     return state.gait_state.over_holes[:, None]
 
 
 def _heights(state: RobotState) -> Array:
-    """Return the heights of the ground (N, K); there must be a map."""
+    """Return the map's terrain heights (N, K) [m]."""
     if state.heights is None:
         raise SurefootError("observation 'height_scan' needs a map of the ground's heights; there is none here")
     return state.heights
@@ -89,7 +97,7 @@ def _angular_velocity(axis: int) -> Callable[[RobotState], Array]:
 
 
 OVER_HOLES = "over_holes"
-"""Name of an observation, and of its number."""
+"""Name of the observation of the blend weight of the gait over holes, and of its column."""
 
 PARTS: dict[str, ObservationPart] = {
     "roll": ObservationPart("rad", "base in world", lambda _: ["roll"], lambda m: m.readings.roll_pitch_yaw[:, 0:1]),
@@ -107,7 +115,7 @@ PARTS: dict[str, ObservationPart] = {
         "m/s, m/s, rad/s", "heading: x forward, y left", lambda _: [f"command_{name}" for name in COMMANDS], _command
     ),
     "height_scan": ObservationPart(
-        "m", "heading, from the base's origin: x forward, y left, z up", lambda _: MAP.columns(), _heights
+        "m", "heading, from the base's origin: x forward, y left, z up", lambda _: POLICY_GRID.columns(), _heights
     ),
     "footholds": ObservationPart(
         "foothold_radius",
@@ -129,7 +137,7 @@ PARTS: dict[str, ObservationPart] = {
         lambda m: m.feedback[:, m.feedback.shape[1] - m.gait.memory :],
     ),
 }
-"""Every part that an observation can have."""
+"""Available observations by name."""
 
 IMU_4D = ("roll", "pitch", "roll_rate", "pitch_rate")
 """The paper's small space (Tan et al. 2018, section VI-B)."""
@@ -138,9 +146,15 @@ IMU_AND_MOTORS_12D = (*IMU_4D, "motor_angles")
 
 
 class Observer:
-    """Builds observations of a robot: parts out of `PARTS`, in the order of `names`; one or more, none twice.
+    """Builder of a robot's observations.
 
-    `actions` are the names of the feedback's numbers, where these are not coordinates of leg space.
+    Args:
+        robot: the robot.
+        names: names of observations from `PARTS`, in order, without repetition.
+        actions: names of the feedback's columns. Defaults to coordinates of leg space.
+
+    Raises:
+        SurefootError: no names, unknown or repeated names.
     """
 
     def __init__(self, robot: RobotDescription, names: tuple[str, ...], actions: Sequence[str] | None = None) -> None:
@@ -153,24 +167,24 @@ class Observer:
             raise SurefootError(f"observations are {choices(names)}; names must not repeat")
         self.names = names
         columns = {name: PARTS[name].columns(robot) for name in names}
-        kept = [action for action in actions or () if action.startswith(f"{MEMORY}.")]
+        memory = [action for action in actions or () if action.startswith(f"{MEMORY}.")]
         if actions is not None and "last_action" in columns:
-            columns["last_action"] = [f"last_{action}" for action in actions if action not in kept]
+            columns["last_action"] = [f"last_{action}" for action in actions if action not in memory]
         if "memory" in columns:
-            columns["memory"] = kept
+            columns["memory"] = memory
         self.columns = [column for name in names for column in columns[name]]
         if len(set(self.columns)) != len(self.columns):
             raise SurefootError(f"columns of the observation are {choices(self.columns)}; names must not repeat")
 
     @property
     def width(self) -> int:
-        """Numbers in an observation."""
+        """Number of columns of an observation."""
         return len(self.columns)
 
     def observe(self, state: RobotState) -> Array:
-        """Return the observations (N, width), raw SI values."""
+        """Return the observations (N, width) in SI units, without normalization."""
         return np.concatenate([PARTS[name].read(state) for name in self.names], axis=1)
 
     def describe(self) -> list[dict[str, str]]:
-        """Return name, unit and frame of each part, for the contract."""
+        """Return the name, unit and frame of each part, for the contract."""
         return [{"name": name, "unit": PARTS[name].unit, "frame": PARTS[name].frame} for name in self.names]

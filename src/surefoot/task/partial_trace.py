@@ -1,7 +1,7 @@
-"""Rows of a trace that are written one by one while it is recorded; if the run is cut off, a trace is made from them.
+"""Partial trace files: rows written one by one during a run, from which the trace of an interrupted run is recovered.
 
-A partial file is a line of JSON (columns and meta of the trace, the state at its start, and its robot if that does not
-ship) and then rows of little-endian 64-bit floats. A row that was cut off is left out when it is read.
+A partial file is a line of JSON (columns and meta of the trace, the state at its start, and its robot unless that ships
+with surefoot), followed by rows of little-endian 64-bit floats. An incomplete last row is ignored.
 """
 
 from __future__ import annotations
@@ -24,40 +24,48 @@ from surefoot.files import check_readable
 from surefoot.task.trace import EpisodeTrace, trace_sizes
 
 SUFFIX = ".partial"
-"""Behind the whole name of the trace's file."""
-MEASURED = (
+"""Suffix appended to the full name of the trace file."""
+MEASURED_COLUMNS = (
     *("time", "roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity", "motor_torque"),
     *("observation", "feedback", "target", "energy"),
 )
-"""Columns that every robot measures."""
+"""Trace columns that every robot measures."""
 _KIND = "surefoot-partial-trace"
 _VERSION = 2
 
 
 def row_layout(names: tuple[str, ...], sizes: Mapping[str, int]) -> RowLayout:
-    """Return the layout of rows of a trace's columns; `sizes` are those of `trace_sizes`."""
+    """Return the layout of one row of the named trace columns; `sizes` as returned by `trace_sizes`."""
     columns, one_row = columns_of(EpisodeTrace), {**sizes, "T": 1, "T+1": 1}
-    return RowLayout({name: math.prod(columns[name].sized(one_row)) for name in names})
+    return RowLayout({name: math.prod(columns[name].shape_for(one_row)) for name in names})
 
 
 @dataclass(frozen=True)
-class TraceHead:
-    """What makes a trace of rows of numbers, one a control step."""
+class TraceHeader:
+    """Header of a partial trace: everything except its rows, one per control step."""
 
     layout: RowLayout
-    """Columns of the rows; those that a trace does not have are left out of it."""
+    """Columns of the rows. Columns that traces do not have are dropped from the trace."""
     meta: dict[str, Any]
-    """The trace's meta, as far as it is known at the start."""
+    """Meta of the trace, as far as known at the start."""
     start: Mapping[str, Array] = field(default_factory=dict)
-    """Values at the start of columns that have them, (n,) by name."""
+    """Initial values (n,) of columns that include the start of the episode, by name."""
     robot_archive: bytes = b""
-    """The trace's."""
+    """Archive of the robot's folder, see `EpisodeTrace`."""
 
     @classmethod
-    def of_robot(cls, meta: dict[str, Any], actions: int, commands: bool, robot_archive: bytes) -> TraceHead:
-        """Return the head of what a robot measures, with commands if it is steered, and its map if it has one."""
-        names = (*MEASURED, *(["command"] if commands else []), *(["height_map"] if meta.get("height_map") else []))
-        return cls(row_layout(names, trace_sizes(0, (actions,), meta)), meta, robot_archive=robot_archive)
+    def of_robot(cls, meta: dict[str, Any], actions: int, commands: bool, robot_archive: bytes) -> TraceHeader:
+        """Return the header of a robot's trace.
+
+        Args:
+            meta: meta of the trace.
+            actions: number of feedback columns.
+            commands: whether the robot follows commands.
+            robot_archive: archive of the robot's folder.
+        """
+        names = list(MEASURED_COLUMNS)
+        names += (["command"] if commands else []) + (["height_map"] if meta.get("height_map") else [])
+        return cls(row_layout(tuple(names), trace_sizes(0, (actions,), meta)), meta, robot_archive=robot_archive)
 
     def line(self) -> bytes:
         """Return the first line of a partial file."""
@@ -72,9 +80,15 @@ class TraceHead:
         return json.dumps(head).encode() + b"\n"
 
     def trace(self, rows: Array, meta: Mapping[str, Any], truth: Mapping[str, Array] | None = None) -> EpisodeTrace:
-        """Return the trace of rows (T, width), with further entries of its meta; refuse rows that are none.
+        """Return the trace.
 
-        `truth` has further columns, such as base and feet that were measured externally.
+        Args:
+            rows: rows of the partial file (T, width).
+            meta: more entries of its meta.
+            truth: more columns, such as externally measured base and feet.
+
+        Raises:
+            SurefootError: no rows, or rows that do not fit the columns of a trace.
         """
         if not len(rows):
             raise SurefootError("no control step was done; there is nothing to save")
@@ -89,8 +103,8 @@ class TraceHead:
                 columns[name] = values.reshape(len(values), *(int(size) if size.isdigit() else -1 for size in rest))
             except ValueError:
                 raise SurefootError(f"column {name} ({declared.shape}) has {width} numbers in a row") from None
-        about = {**self.meta, **meta}
-        return EpisodeTrace(**{**columns, **(truth or {})}, meta=about, robot_archive=self.robot_archive)
+        merged = {**self.meta, **meta}
+        return EpisodeTrace(**{**columns, **(truth or {})}, meta=merged, robot_archive=self.robot_archive)
 
 
 @dataclass(frozen=True)
@@ -107,15 +121,15 @@ class _FirstLine:
 
 
 def row_bytes(rows: Array) -> bytes:
-    """Return rows (n, width) as bytes of the file."""
+    """Encode rows (n, width) for the file."""
     return rows.astype("<f8").tobytes()
 
 
 def recover(path: str | Path) -> EpisodeTrace:
-    """Return the trace of a run that was cut off, from its partial file; `ended` is a fault.
+    """Recover the trace of an interrupted run from its partial file, with `ended` set to fault.
 
     Raises:
-        SurefootError: no such file, another kind of file, or one without a whole row.
+        SurefootError: no such file, another kind of file, or a file without a complete row.
     """
     path = Path(path)
     with describe_os_errors(f"partial trace {path}"):
@@ -129,24 +143,25 @@ def recover(path: str | Path) -> EpisodeTrace:
             if kind == _KIND and "version" not in entries:
                 entries = _from_version_1(entries)
         except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-            raise SurefootError(f"is not one: {' '.join(str(error).split())}") from error
+            raise SurefootError(f"is not a partial trace file: {' '.join(str(error).split())}") from error
         if kind != _KIND:
-            raise SurefootError("is not one: it is of another kind")
+            raise SurefootError("is not a partial trace file: it is of another kind")
         first = from_mapping(_FirstLine, entries)
         start = {name: np.array(values) for name, values in first.start.items()}
-        head = TraceHead(RowLayout(first.columns), meta, start, robot)
+        head = TraceHeader(RowLayout(first.columns), meta, start, robot)
         width = head.layout.width
         steps = len(body) // (8 * width) if width else 0
         if not steps:
-            raise SurefootError("holds no whole control step")
+            raise SurefootError("holds no complete control step")
         rows = np.frombuffer(body, "<f8", steps * width).reshape(steps, width).astype(float)
         return head.trace(rows, {"ended": "fault", "reason": "cut off"})
 
 
 def _from_version_1(entries: dict[str, Any]) -> dict[str, Any]:
-    """Return the first line of a file with counts, whose rows hold the robot's clock after the time, as it is now."""
+    """Convert the first line of a version 1 file, which has counts, and the robot's clock as the second column."""
     counts = {
         size: entries[name] for size, name in zip("MLOA", ("motors", "legs", "observations", "actions"), strict=True)
     }
-    row = row_layout((*MEASURED, "command") if entries.get("commands") else MEASURED, counts).widths
+    names = (*MEASURED_COLUMNS, "command") if entries.get("commands") else MEASURED_COLUMNS
+    row = row_layout(names, counts).widths
     return {"version": _VERSION, "columns": {"time": row.pop("time"), "robot_time": 1, **row}, "start": {}}

@@ -1,4 +1,4 @@
-"""References of time alone: sinusoids, tables of poses, and foot trajectories in the legs' planes."""
+"""Periodic references that do not depend on commands: sinusoids, tables of poses, and foot trajectories."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from surefoot.task.reference import Extent, Feedforward, Reference
 
 @dataclass(frozen=True)
 class Wave:
-    """Sinusoids, one a leg: amplitude sin(2 pi frequency t + phase) + offset; arrays (L,), rad and Hz."""
+    """One sinusoid per leg: amplitude sin(2 pi frequency t + phase) + offset; arrays (L,) in rad and Hz."""
 
     amplitude: Array
     frequency: Array
@@ -38,26 +38,26 @@ class Wave:
 
     @property
     def extent(self) -> tuple[float, float]:
-        """Lowest and highest value over all legs."""
+        """Minimum and maximum over all legs."""
         size = np.abs(self.amplitude)
         return float(np.min(self.offset - size)), float(np.max(self.offset + size))
 
     def to_dict(self, legs: tuple[str, ...]) -> dict[str, dict[str, float]]:
-        """Return each quantity as a mapping from leg to number."""
+        """Return each quantity as a mapping from leg to value."""
         return {name: dict(zip(legs, values.tolist(), strict=True)) for name, values in vars(self).items()}
 
 
 @dataclass(frozen=True)
 class SineReference(Reference):
-    """One sinusoid for each coordinate of every leg."""
+    """Sinusoids in leg space, one per coordinate and leg."""
 
     legs: tuple[str, ...]
     waves: dict[str, Wave]
-    """By coordinate, in order."""
+    """Sinusoids by coordinate, in the robot's order."""
 
     @property
     def period(self) -> float | None:
-        """Time [s] after which the reference repeats; None if it does not move or has no common period."""
+        """Period [s], or None if the reference does not move or has no common period."""
         moving = [wave.frequency[wave.amplitude != 0] for wave in self.waves.values()]
         frequencies = np.unique(np.abs(np.concatenate(moving)))
         frequencies = frequencies[frequencies > 0]
@@ -67,28 +67,28 @@ class SineReference(Reference):
         return float(1 / frequencies[0]) if np.allclose(ratios, np.round(ratios)) else None
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the poses (N, C, L) at times (N,) [s] since the episode's start, whatever the commands."""
+        """Return the leg poses (N, C, L) at times (N,) [s] since the episode's start; commands have no effect."""
         return np.stack([wave.at(time) for wave in self.waves.values()], axis=-2)
 
     def extent(self) -> Extent:
-        """Return the lowest and highest value of each coordinate over all legs and times."""
+        """Return the minimum and maximum of each coordinate over all legs and times."""
         return tuple(wave.extent for wave in self.waves.values())
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration that makes it again, as JSON values."""
+        """Return the equivalent configuration as JSON values."""
         return {"kind": "sine", **{part: wave.to_dict(self.legs) for part, wave in self.waves.items()}}
 
 
 @dataclass(frozen=True)
 class TableReference(Reference):
-    """A table of leg poses over one period, with straight lines between its rows.
+    """A table of leg poses over one period, with linear interpolation.
 
-    Row k stands for the time k period / rows; after the last row comes the first.
+    Row k is the pose at time k * period / rows. The first row follows the last.
     """
 
     legs: tuple[str, ...]
     duration: float
-    """Time [s] in which the table is gone through once."""
+    """Period of the table [s]."""
     coordinates: tuple[str, ...]
     rows: Array
     """Poses (rows, C, L)."""
@@ -97,40 +97,52 @@ class TableReference(Reference):
     def from_columns(
         cls, robot: RobotDescription, duration: float, columns: Sequence[Array], where: str
     ) -> TableReference:
-        """Return the table of columns of poses, of each coordinate for every leg in turn; `where` is its name."""
+        """Return the table made of columns.
+
+        Args:
+            robot: the robot.
+            duration: period of the table [s].
+            columns: poses over time, coordinate by coordinate for all legs.
+            where: name of the table for error messages.
+
+        Raises:
+            SurefootError: columns that differ in length, are too short, or are not finite.
+        """
         lengths = sorted({len(column) for column in columns})
         if len(lengths) != 1:
-            raise SurefootError(f"{where}: columns differ in length ({choices(map(str, lengths))}); make them equal")
+            raise SurefootError(
+                f"{where}: columns differ in length ({choices(map(str, lengths))}); they must have equal lengths"
+            )
         if lengths[0] < 2:
             raise SurefootError(f"{where}: the table has {lengths[0]} row(s); a periodic reference needs 2 or more")
         rows = np.stack(columns, axis=1)
-        bad = ~np.isfinite(rows).all(axis=1)
-        if bad.any():
+        invalid = ~np.isfinite(rows).all(axis=1)
+        if invalid.any():
             raise SurefootError(
-                f"{where}: row {int(np.argmax(bad)) + 1} of the table is not finite; every pose must be a number"
+                f"{where}: row {int(np.argmax(invalid)) + 1} of the table is not finite; every pose must be a number"
             )
         legs, coordinates = robot.leg_names, robot.coordinates
         return cls(legs, duration, coordinates, rows.reshape(len(rows), len(coordinates), len(legs)))
 
     @property
     def period(self) -> float:
-        """Time [s] after which the reference repeats."""
+        """Period [s]."""
         return self.duration
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the poses (N, C, L) at times (N,) [s] since the episode's start, whatever the commands."""
+        """Return the leg poses (N, C, L) at times (N,) [s] since the episode's start; commands have no effect."""
         rows = len(self.rows)
-        place = np.asarray(time, float) / self.period % 1.0 * rows
-        first = np.floor(place).astype(int) % rows
-        share = (place - np.floor(place))[..., None, None]
-        return np.asarray(self.rows[first] + share * (self.rows[(first + 1) % rows] - self.rows[first]))
+        position = np.asarray(time, float) / self.period % 1.0 * rows
+        first = np.floor(position).astype(int) % rows
+        fraction = (position - np.floor(position))[..., None, None]
+        return np.asarray(self.rows[first] + fraction * (self.rows[(first + 1) % rows] - self.rows[first]))
 
     def extent(self) -> Extent:
-        """Return the lowest and highest value of each coordinate over all legs and times."""
+        """Return the minimum and maximum of each coordinate over all legs and times."""
         return tuple((float(part.min()), float(part.max())) for part in np.moveaxis(self.rows, 1, 0))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration that makes it again, as JSON values: rows instead of the file."""
+        """Return the equivalent configuration as JSON values, with `rows` instead of `file`."""
         rows = {
             part: dict(zip(self.legs, self.rows[:, k].T.tolist(), strict=True))
             for k, part in enumerate(self.coordinates)
@@ -139,7 +151,11 @@ class TableReference(Reference):
 
 
 def read_columns(path: Path, names: list[str]) -> list[Array]:
-    """Return the named columns of a CSV or NPZ file."""
+    """Read the named columns of a CSV or NPZ file.
+
+    Raises:
+        SurefootError: a file of another kind, one that can't be read, or a missing column.
+    """
     rule = f"a table has columns {choices(names)}"
     if path.suffix not in (".csv", ".npz"):
         raise SurefootError(f"{path}: is not a .csv or .npz file; {rule}")
@@ -150,7 +166,7 @@ def read_columns(path: Path, names: list[str]) -> list[Array]:
             check_readable(path)
             read = np.genfromtxt(path, delimiter=",", names=True, dtype=float)
             table = {name: np.atleast_1d(read[name]) for name in read.dtype.names or ()}
-    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:  # Of empty and other files.
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:  # e.g. an empty file
         raise SurefootError(f"{path}: can't be read as a table: {' '.join(str(error).split())}; {rule}") from error
     for name in names:
         if name not in table:
@@ -160,25 +176,25 @@ def read_columns(path: Path, names: list[str]) -> list[Array]:
 
 @dataclass(frozen=True)
 class FootReference(Reference):
-    """Foot trajectories that repeat."""
+    """Periodic foot trajectories."""
 
     feet: FootPaths
     feedforward: Feedforward = Feedforward()
 
     @property
     def period(self) -> Any:
-        """Time [s] after which the reference repeats, a number; (N,) where robots have paths of their own."""
+        """Period [s]: a number, or (N,) if robots have different trajectories."""
         return self.feet.period
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the poses (N, C, L) at times (N,) [s] since the episode's start: no abduction, whatever the state."""
+        """Return the leg poses (N, C, L) at times (N,) [s] since the episode's start, with zero abduction."""
         return self.feet.pose(time)
 
     def extent(self) -> Extent:
-        """Return the lowest and highest value of each coordinate over all legs and times."""
+        """Return the minimum and maximum of each coordinate over all legs and times."""
         return self.feet.extent
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration that makes it again, as JSON values."""
-        ahead = {"velocity_feedforward": self.feedforward.velocity} if self.feedforward.velocity else {}
-        return {"kind": "foot", "foot": self.feet.to_dict(), **ahead}
+        """Return the equivalent configuration as JSON values."""
+        feedforward = {"velocity_feedforward": self.feedforward.velocity} if self.feedforward.velocity else {}
+        return {"kind": "foot", "foot": self.feet.to_dict(), **feedforward}

@@ -1,7 +1,8 @@
-"""Plug-ins: reward terms and observations of a user's own, from a Python file or an installed package.
+"""Plug-ins: custom reward terms and observations from a Python file or an installed package.
 
-A plug-in registers functions with `reward_term` and `observation`, in the same tables as the built-in ones. Only what a
-user names by `--plugin` is executed: policies and run folders record names and digests of plug-ins, never paths.
+A plug-in registers functions with `reward_term` and `observation`, in the same tables as the built-in ones. Only
+plug-ins that the user names with `--plugin` are executed: policies and run folders record names and digests of
+plug-ins, never paths.
 """
 
 from __future__ import annotations
@@ -30,19 +31,19 @@ from surefoot.task.reward import TERMS, RewardTerm
 from surefoot.task.state import EnvState, RobotState
 
 GROUP = "surefoot.plugins"
-"""Entry points by which an installed package offers plug-ins: the name of each is what `--plugin` takes."""
+"""Group of entry points with which installed packages provide plug-ins. `--plugin` takes the name of an entry point."""
 
 
 @dataclass
 class Plugin:
-    """A plug-in; it can be sent to another process and registered there."""
+    """A plug-in, which can be sent to another process and registered there."""
 
     name: str
-    """Name of the file, or of the entry point."""
+    """Name of the file or of the entry point."""
     path: str
-    """Path of the file, for messages and its own `__file__`; of an entry point the same as its name."""
+    """Path of the file, for messages and its `__file__`, or name of the entry point."""
     source: bytes
-    """The file's text; empty for an entry point."""
+    """Content of the file; empty for an entry point."""
     sha256: str
     """Digest of the source."""
     rewards: list[str] = field(default_factory=list)
@@ -51,13 +52,18 @@ class Plugin:
     """Names of its observations."""
 
     def record(self, rewards: Iterable[str], observations: Iterable[str]) -> PluginRecord | None:
-        """Return the record of those of its terms that are in use; None if none is."""
+        """Return a record of the plug-in's terms that are in use, or None if none is.
+
+        Args:
+            rewards: names of the reward terms in use.
+            observations: names of the observations in use.
+        """
         used = tuple(set(self.rewards) & set(rewards)), tuple(set(self.observations) & set(observations))
         return PluginRecord(self.name, self.sha256, *map(tuple, map(sorted, used))) if any(used) else None
 
 
 _plugins: dict[str, Plugin] = {}
-"""Plug-ins that are registered, by path."""
+"""Registered plug-ins by path."""
 _registering: list[Plugin] = []
 """The plug-in whose file is being executed."""
 
@@ -65,13 +71,13 @@ _registering: list[Plugin] = []
 def reward_term(
     name: str, unit: str, source: str = "", is_sum: bool = False
 ) -> Callable[[Callable[[EnvState], Any]], Callable[[EnvState], Any]]:
-    """Register a function as a reward term: it takes the `EnvState` of N robots and returns values (N,).
+    """Register a function as a reward term. It receives the `EnvState` of N robots and returns values (N,).
 
     Args:
-        name: name of the term, for a task's `reward`.
-        unit: what its weight multiplies.
-        source: where it comes from.
-        is_sum: whether it is a sum over the control step; else it is a rate.
+        name: name of the term in a task's `reward`.
+        unit: quantity and unit that the weight multiplies.
+        source: origin of the term, such as a paper.
+        is_sum: whether values are sums over the control step; otherwise rates.
     """
 
     def register(function: Callable[[EnvState], Any]) -> Callable[[EnvState], Any]:
@@ -96,17 +102,17 @@ def observation(
     columns: Sequence[str] | Callable[[RobotDescription], Sequence[str]],
     flipped: Sequence[str] = (),
 ) -> Callable[[Callable[[RobotState], Any]], Callable[[RobotState], Any]]:
-    """Register a function as an observation: it takes the `RobotState` of N robots and returns (N, C) numbers.
+    """Register a function as an observation. It receives the `RobotState` of N robots and returns values (N, C).
 
-    It must depend on nothing else: the robot's control computer calls it too.
+    It must not depend on anything else, because the robot's control computer also calls it.
 
     Args:
-        name: name of the observation, for a task's `observations`.
-        unit: unit of its numbers.
-        frame: the frame that they refer to.
-        columns: names of its C numbers, or a function of the robot that returns them. NAME.MOTOR and names with left
-            and right are exchanged with the other side in the mirror image, for `ppo.symmetry`.
-        flipped: columns that change their sign in the mirror image.
+        name: name of the observation in a task's `observations`.
+        unit: unit of its values.
+        frame: reference frame of its values.
+        columns: names of its C columns, or a function of the robot that returns them. For `ppo.symmetry`, columns
+            NAME.MOTOR and columns with left or right in their name are swapped with the other side.
+        flipped: columns that change sign in the mirror image.
     """
 
     def register(function: Callable[[RobotState], Any]) -> Callable[[RobotState], Any]:
@@ -121,7 +127,7 @@ def observation(
             return [*result]
 
         def read(state: RobotState) -> Array:
-            # What only a simulation knows is hidden: the function must do the same on a robot.
+            # The true state is hidden, so that the function does the same on a robot.
             values, readings = _call(plugin, what, function, state.without_truth()), state.readings
             width = next((width for width in widths if np.shape(values)[1:] == (width,)), min(widths))
             angles = np.hstack([readings.roll_pitch_yaw, readings.angular_velocity_base, readings.motor_angle])
@@ -137,12 +143,12 @@ def observation(
 
 def _registering_plugin() -> Plugin:
     if not _registering:
-        raise SurefootError("reward_term and observation register in a plug-in's file; name it by --plugin")
+        raise SurefootError("reward_term and observation must be called in a plug-in's file; name it with --plugin")
     return _registering[-1]
 
 
 def _check_new(what: str, name: str, table: Mapping[str, object]) -> None:
-    """Refuse a name that is unsafe, or taken by a built-in term or another plug-in."""
+    """Reject an unsafe name, and a name that a built-in term or another plug-in already has."""
     check_name(f"name of the {what}", name)
     if name in table:
         others = [
@@ -162,7 +168,7 @@ def _call(plugin: Plugin, what: str, function: Callable[[Any], Any], argument: A
 
 
 def _place(plugin: Plugin, error: BaseException) -> str:
-    """Return the path of a plug-in, with the line in which an error arose where it is known."""
+    """Return the path of a plug-in and, if known, the line of an error in it."""
     lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == plugin.path]
     if isinstance(error, SyntaxError):
         lines = [error.lineno]
@@ -170,7 +176,18 @@ def _place(plugin: Plugin, error: BaseException) -> str:
 
 
 def _check_values(plugin: Plugin, what: str, values: Any, shape: tuple[int, ...], rows: NDArray[np.bool_]) -> Array:
-    """Return the values of a plug-in's function; refuse another shape, and numbers in `rows` that are not finite."""
+    """Return the values of a plug-in's function as an array.
+
+    Args:
+        plugin: the plug-in.
+        what: name of the term in messages.
+        values: returned values.
+        shape: required shape.
+        rows: robots whose values must be finite (N,).
+
+    Raises:
+        SurefootError: values of another shape, or values that are not finite.
+    """
     try:
         array = np.asarray(values, float)
     except (TypeError, ValueError):
@@ -183,9 +200,9 @@ def _check_values(plugin: Plugin, what: str, values: Any, shape: tuple[int, ...]
 
 
 def load_plugins(names: Iterable[str | Path]) -> None:
-    """Execute plug-ins that the user names, by path or by the name of an entry point, and register their terms.
+    """Execute plug-ins, named by path or entry point, and register their terms.
 
-    A plug-in that is registered already is not executed again, unless its source has changed.
+    A registered plug-in is executed again only if its source has changed.
 
     Raises:
         SurefootError: no such file or entry point, an error in it, no term, or a term whose name is taken.
@@ -214,10 +231,10 @@ def _entry_point(name: str) -> metadata.EntryPoint:
 
 
 def register_plugin(plugin: Plugin) -> None:
-    """Execute a plug-in and register its terms, in place of those of an earlier source of the same file.
+    """Execute a plug-in and register its terms, which replace the terms of an earlier version of the same file.
 
     Raises:
-        SurefootError: as `load_plugins`.
+        SurefootError: see `load_plugins`.
     """
     before = _plugins.get(plugin.path)
     if before is not None and before.sha256 == plugin.sha256:
@@ -240,13 +257,13 @@ def register_plugin(plugin: Plugin) -> None:
 
 
 def remove_plugins() -> None:
-    """Take all plug-ins out of the tables."""
+    """Unregister all plug-ins."""
     for plugin in registered_plugins():
         _remove(plugin)
 
 
 def _remove(plugin: Plugin) -> None:
-    """Take the terms of a plug-in out of the tables."""
+    """Unregister the terms of a plug-in."""
     for name in plugin.rewards:
         TERMS.pop(name)
     for name in plugin.observations:
@@ -262,24 +279,29 @@ def _execute(plugin: Plugin) -> None:
         return
     module = ModuleType(f"surefoot_plugin_{Path(plugin.path).stem}")
     module.__file__ = plugin.path
-    sys.modules[module.__name__] = module  # dataclasses look their module up
+    sys.modules[module.__name__] = module  # dataclasses look up their module
     exec(compile(plugin.source, plugin.path, "exec"), module.__dict__)
 
 
 def registered_plugins() -> list[Plugin]:
-    """Return the plug-ins that are registered, to register them in another process."""
+    """Return the registered plug-ins, for example to register them in another process."""
     return list(_plugins.values())
 
 
 def used_plugins(rewards: Iterable[str], observations: Iterable[str]) -> tuple[PluginRecord, ...]:
-    """Return records of the plug-ins whose terms are in use: names of reward terms and of observations."""
+    """Return records of the plug-ins whose reward terms or observations are in use.
+
+    Args:
+        rewards: names of the reward terms in use.
+        observations: names of the observations in use.
+    """
     rewards, observations = set(rewards), set(observations)
     records = (plugin.record(rewards, observations) for plugin in _plugins.values())
     return tuple(record for record in records if record is not None)
 
 
 def changed_plugins(records: Iterable[PluginRecord]) -> list[str]:
-    """Return a line for each plug-in whose source is not the recorded one."""
+    """Return one note for each plug-in whose source differs from its record."""
     return [
         f"plug-in {plugin.path} has changed since the policy was trained with it"
         for record in records

@@ -1,4 +1,4 @@
-"""Plug-ins of a policy: whether they are registered, and what the policy's task is without them."""
+"""Plug-ins that a policy needs: checks that they are registered, and its task without the missing ones."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surefoot.task.reward import TERMS
 
 
 def check_plugins(contract: Contract) -> None:
-    """Refuse a policy with an observation of a plug-in that is not registered."""
+    """Reject a policy with an observation of a plug-in that is not registered."""
     for record in contract.plugins:
         if missing := [name for name in record.observations if name not in PARTS]:
             raise SurefootError(
@@ -23,28 +23,25 @@ def check_plugins(contract: Contract) -> None:
 
 
 def plugin_notes(contract: Contract) -> list[str]:
-    """Return a line for each plug-in of a policy that has changed, and one for reward terms that are skipped."""
+    """Return a note for each plug-in of a policy that has changed, and one for missing reward terms."""
     notes = changed_plugins(contract.plugins)
     if skipped := _skipped_rewards(contract):
         names = choices(quote(record.name) for record in contract.plugins)
-        what = (
-            "are without"
-            if skipped < {*contract.task.get("reward", {})}
-            else "are those of the paper's reward, without"
-        )
+        what = "are without" if skipped < {*contract.task.get("reward", {})} else "are by the paper's reward, without"
         notes.append(
-            f"returns {what} {choices(map(quote, sorted(skipped)))}; to have them, name the plug-in: --plugin {names}"
+            f"returns {what} {choices(map(quote, sorted(skipped)))}; to include them, name the plug-in: "
+            f"--plugin {names}"
         )
     return notes
 
 
 def _skipped_rewards(contract: Contract) -> set[str]:
-    """Return the reward terms of plug-ins that are not registered."""
+    """Return the policy's reward terms of plug-ins that are not registered."""
     return {name for record in contract.plugins for name in record.rewards if name not in TERMS}
 
 
 def task_without_skipped(contract: Contract) -> dict[str, Any]:
-    """Return the task's table without the reward terms of plug-ins that are not registered."""
+    """Return the contract's task table without reward terms of plug-ins that are not registered."""
     skipped, task = _skipped_rewards(contract), dict(contract.task)
     for key in ("reward", "reward_limits") if skipped else ():
         if isinstance(table := task.get(key), Mapping):

@@ -1,21 +1,21 @@
-"""The true state of robots, which a critic may observe in simulation."""
+"""Components with privileged observations for the critic: the true state of robots in simulation."""
 
 from __future__ import annotations
 
 from surefoot.robot import RobotDescription
 from surefoot.rotations import in_heading_frame
 from surefoot.task.component import Component, Privileged
-from surefoot.task.height_scan import AROUND, scan_heights
+from surefoot.task.height_scan import CRITIC_GRID, scan_heights
 from surefoot.task.observation import gait_phase
 from surefoot.task.state import EnvState, base_height
 
 
 class TrueState(Component):
-    """Height and velocity of the base, orientation, motor angles and speeds.
+    """True height, velocity and orientation of the base, motor angles and motor speeds.
 
     Args:
         robot: the robot.
-        in_heading_frame: whether velocities are in the heading frame, otherwise in the world.
+        in_heading_frame: whether the velocity is in the heading frame; otherwise in the world frame.
     """
 
     def __init__(self, robot: RobotDescription, in_heading_frame: bool) -> None:
@@ -36,20 +36,20 @@ class TrueState(Component):
 
 
 class TrueHeights(Component):
-    """Heights of the ground around robots.
+    """True terrain heights around robots.
 
     Args:
         robot: the robot.
     """
 
     def __init__(self, robot: RobotDescription) -> None:
-        self._points = AROUND.points(robot)
+        self._points = CRITIC_GRID.points(robot)
 
     def privileged(self, state: EnvState) -> Privileged:
-        """Return the heights [m] relative to the base's origin."""
+        """Return the terrain heights relative to the base's origin [m]."""
         truth = state.truth
         heights = scan_heights(state.ground, self._points, truth.base_position_world, truth.roll_pitch_yaw[:, 2])
-        return [(AROUND.columns(), heights)]
+        return [(CRITIC_GRID.columns(), heights)]
 
 
 class ReferencePhase(Component):

@@ -1,15 +1,15 @@
 """Raibert's controller: classical feedback on top of foot trajectories.
 
-Raibert 1986, "Legged Robots That Balance", and the quadruped's three parts of control: speed by the place where feet
-land, attitude by torques and lengths of legs in stance, and a gait that a clock gives. A foot lands at
+As in Raibert 1986, "Legged Robots That Balance", three parts control a quadruped: foot placement controls the speed,
+leg lengths in stance control roll and pitch, and a clock generates the gait. A foot lands at
 
     x = v T / 2 + k (v - v_d)
 
-before its leg's neutral place, where v is the speed forward, v_d the desired one and T the time of a stance. The
-trajectory's own stroke already is v_d T, so what is added to it is (T / 2 + k) (v - v_d).
+ahead of its leg's neutral position, with the forward speed v, the desired speed v_d and the stance duration T. The
+stroke of the trajectory is already v_d T, so the controller adds (T / 2 + k) (v - v_d).
 
-Its inputs are what a robot measures: roll, pitch, their rates, motor angles and speeds, and its own clock. The speed
-forward is estimated from the motors of legs that are in stance by the clock, whose feet are assumed to stand still.
+Inputs are measurements of the robot: roll, pitch and their rates, motor angles and speeds, and the clock. The forward
+speed is estimated from the motors of legs that are in stance by the clock, assuming that their feet do not slip.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from surefoot.task.foot_paths import FootPaths
 OBSERVATIONS = ("roll", "pitch", "roll_rate", "pitch_rate", "motor_angles", "motor_speeds", "reference_phase")
 """Observations of the controller, in this order."""
 HISTORY = 25
-"""Default number of observations over which the speed is estimated: .15 s of control steps of 6 ms."""
-_STEP = 1e-4
+"""Default number of observations over which the speed is estimated: 0.15 s with control steps of 6 ms."""
+_DERIVATIVE_STEP = 1e-4
 """Time step [s] of the numerical derivative of a foot's position."""
-_EDGE = 0.2
-"""Part of a stance at its begin, and at its end, that is left out: the foot may be in the air."""
+_STANCE_MARGIN = 0.2
+"""Fraction of the stance that is excluded at its start and end, because the foot may still be in the air."""
 
 Gain = Annotated[float, Within(-100, 100)]
 
@@ -43,30 +43,32 @@ class RaibertConfig:
     """Gains of the controller."""
 
     speed: Gain = 0.0
-    """k: how much further ahead a foot lands for a speed above the desired one [m per m/s]."""
+    """Gain k from the speed error to the foot placement [m per m/s]."""
     pitch: Gain = 0.0
-    """Length that front legs gain, and hind legs lose, with pitch, per metre from the base's middle [m/m/rad]."""
+    """Gain from pitch to leg length, per metre from the base's middle; front legs extend, hind legs shorten
+    [m/m/rad]."""
     pitch_rate: Gain = 0.0
-    """The same for the rate of pitch [m/m/(rad/s)]."""
+    """Gain from pitch rate to leg length, per metre from the base's middle [m/m/(rad/s)]."""
     roll: Gain = 0.0
-    """Length that right legs gain, and left legs lose, with roll, per metre from the base's middle [m/m/rad]."""
+    """Gain from roll to leg length, per metre from the base's middle; right legs extend, left legs shorten
+    [m/m/rad]."""
     roll_rate: Gain = 0.0
-    """The same for the rate of roll [m/m/(rad/s)]."""
+    """Gain from roll rate to leg length, per metre from the base's middle [m/m/(rad/s)]."""
     lag: Annotated[float, Within(0, 1)] = 0.045
-    """Delay of measured legs behind their reference: latency of readings and servos [s]."""
+    """Delay of measured legs relative to the reference: latency of readings and servos [s]."""
     reach: Annotated[float, Within(0, 1)] = 0.04
-    """Greatest shift of a foot, forward or upward [m]."""
+    """Maximum shift of a foot, forward or upward [m]."""
 
 
 class RaibertController:
-    """The controller as a policy; its only memory is the history of observations.
+    """Raibert's controller as a policy, whose only memory is the history of observations.
 
     Args:
-        robot: its legs.
-        reference: the foot trajectories.
-        gains: one number each; all but `lag` and `reach` also (N, 1), where each of N robots has its own.
-        observations: parts of the observation; they must be `OBSERVATIONS`.
-        history: number of observations in its input, over which the speed is estimated.
+        robot: the robot.
+        reference: foot trajectories.
+        gains: gains. All but `lag` and `reach` may also be (N, 1), for N robots with different gains.
+        observations: names of the task's observations, which must be `OBSERVATIONS`.
+        history: number of observations in the input, over which the speed is estimated.
 
     Raises:
         SurefootError: other observations.
@@ -85,54 +87,54 @@ class RaibertController:
                 f"observations are {choices(observations)}; Raibert's controller takes {choices(OBSERVATIONS)}"
             )
         self.robot, self.reference, self.gains, self.history = robot, reference, gains, history
-        # Places of the legs relative to their middle, x forward and y left [m].
-        self._place = robot.leg_mounts[:, :2] - robot.leg_mounts[:, :2].mean(axis=0)
+        # Positions of the legs' mounts relative to their centre, x forward and y left [m].
+        self._mounts = robot.leg_mounts[:, :2] - robot.leg_mounts[:, :2].mean(axis=0)
 
-    def _parts(self, observation: ArrayLike) -> list[Array]:
-        """Return IMU (H, N, 4), motor angles and speeds (H, N, M) and cycles of the clock (H, N), the newest first."""
+    def _split(self, observation: ArrayLike) -> list[Array]:
+        """Return IMU (H, N, 4), motor angles (H, N, M), speeds (H, N, M) and clock [cycles] (H, N), newest first."""
         rows = np.asarray(observation, float)
         rows, motors = np.moveaxis(rows.reshape(len(rows), self.history, -1), 1, 0), self.robot.num_motors
         *parts, clock = np.split(rows, [4, 4 + motors, 4 + 2 * motors], axis=-1)
         return [*parts, np.arctan2(clock[..., 0], clock[..., 1]) / (2 * np.pi)]
 
     def speed(self, observation: ArrayLike) -> Array:
-        """Return the estimated speed forward (N,) [m/s]: of legs in stance, mean over the history; NaN without any.
+        """Return the estimated forward speed (N,) [m/s], a mean over legs in stance and the history; NaN without any.
 
-        A foot that stands moves relative to the base as the base does relative to the ground, with the opposite sign;
-        the rate of pitch moves it by its distance below the base.
+        A foot in stance moves relative to the base with the opposite of the base's velocity over the ground, plus the
+        pitch rate times its distance below the base.
         """
-        imu, angle, rate, cycle = self._parts(observation)
-        part = self.reference.shares(cycle - self.gains.lag * np.reshape(self.reference.frequency, -1))
+        imu, angle, rate, cycle = self._split(observation)
+        part = self.reference.cycle_phase(cycle - self.gains.lag * np.reshape(self.reference.frequency, -1))
         part /= self.reference.duty_factor
         leg, motors = self.robot.leg_geometry, self.robot.leg_motor_index
         theta, turn = angle[..., motors], rate[..., motors]
-        ahead, behind = (leg.foot_in_plane(theta + sign * _STEP * turn) for sign in (1.0, -1.0))
-        forward, below = (ahead - behind)[..., 0] / (2 * _STEP), (ahead + behind)[..., 1] / 2
+        later, earlier = (leg.foot_in_plane(theta + sign * _DERIVATIVE_STEP * turn) for sign in (1.0, -1.0))
+        forward, below = (later - earlier)[..., 0] / (2 * _DERIVATIVE_STEP), (later + earlier)[..., 1] / 2
         speeds = -forward - imu[..., 3:] * (below + self.robot.leg_mounts[:, 2])
-        standing = (part > _EDGE) & (part < 1.0 - _EDGE) & np.isfinite(speeds)
-        count = standing.sum(axis=(0, 2))
-        total = np.where(standing, speeds, 0.0).sum(axis=(0, 2))
+        in_stance = (part > _STANCE_MARGIN) & (part < 1.0 - _STANCE_MARGIN) & np.isfinite(speeds)
+        count = in_stance.sum(axis=(0, 2))
+        total = np.where(in_stance, speeds, 0.0).sum(axis=(0, 2))
         speed: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
         return speed
 
     def feedback(self, observation: ArrayLike) -> Array:
-        """Return feedback (N, C L) in leg space for observations (N, O * history); none on abduction."""
-        imu, _, _, cycle = (part[0] for part in self._parts(observation))
+        """Return feedback (N, C L) in leg space for observations (N, O * history), with zero abduction."""
+        imu, _, _, cycle = (part[0] for part in self._split(observation))
         gains, reference = self.gains, self.reference
-        # Without an estimate, as in a flight longer than the history, feet land on their trajectory.
+        # Without a speed estimate, as in a flight phase longer than the history, feet land on their trajectory.
         excess = np.nan_to_num(self.speed(observation)[:, None] - reference.speed)
         forward = (reference.duty_factor / reference.frequency / 2 + gains.speed) * excess
         roll, pitch, roll_rate, pitch_rate = imu.T[..., None]
         nose = gains.pitch * pitch + gains.pitch_rate * pitch_rate
         side = gains.roll * roll + gains.roll_rate * roll_rate
-        # Only legs in stance turn the base; they begin and end it at their trajectory's height.
-        weight = np.sin(np.pi * np.minimum(reference.shares(cycle) / reference.duty_factor, 1.0))
-        upward = weight * (side * self._place[:, 1] - nose * self._place[:, 0])
+        # Only legs in stance turn the base. At touchdown and lift-off, feet are on their trajectory.
+        weight = np.sin(np.pi * np.minimum(reference.cycle_phase(cycle) / reference.duty_factor, 1.0))
+        upward = weight * (side * self._mounts[:, 1] - nose * self._mounts[:, 0])
         shift = np.clip(np.stack([forward, upward], -1), -gains.reach, gains.reach)
         path = reference.path(cycle)
         leg = self.robot.leg_geometry
         shifted, nominal = np.stack(leg.plane_pose(path + shift)), np.stack(leg.plane_pose(path))
-        # A foot that would be out of reach stays on its trajectory.
+        # Feet whose shifted position is out of reach stay on their trajectory.
         moved = np.where(np.isfinite(shifted).all(axis=0), shifted - nominal, 0.0)
         level = [np.zeros_like(moved[0])] * (len(leg.coordinates) - 2)
         return np.concatenate([*level, *moved], axis=1)

@@ -1,4 +1,4 @@
-"""Physical parameters that every episode draws."""
+"""Domain randomization: random physical parameters for every episode."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from surefoot.task.state import EnvState
 
 
 class RandomizedParams(Component):
-    """Domain randomization in a task.
+    """Component that draws the physical parameters of each episode.
 
     Args:
-        randomizer: draws the parameters.
+        randomizer: distribution of the parameters.
     """
 
     def __init__(self, randomizer: Randomizer) -> None:
@@ -29,7 +29,7 @@ class RandomizedParams(Component):
 
     @property
     def streams(self) -> Mapping[str, list[np.random.Generator]]:
-        """Streams of random numbers, one per robot."""
+        """Random streams, one per robot."""
         return {"randomize_streams": self.randomizer.streams}
 
     def before_reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
@@ -37,5 +37,5 @@ class RandomizedParams(Component):
         state.world.set_params(rows, self.randomizer.draw(rows))
 
     def privileged(self, state: EnvState) -> Privileged:
-        """Return the drawn parameters, from -1 to 1 over their ranges."""
-        return [(self.randomizer.columns, self.randomizer.scaled(state.world.params))]
+        """Return the randomized parameters, scaled to -1 to 1 over their ranges."""
+        return [(self.randomizer.columns, self.randomizer.normalize(state.world.params))]

@@ -1,6 +1,6 @@
-"""The open loop part of a gait: poses of every leg in leg space, over time or for commands and a phase.
+"""Reference gaits: the open-loop part of the command, as leg poses over time or for commands and a gait phase.
 
-L legs have C coordinates each, in the robot's order: (abduction,) swing, extension.
+L legs have C coordinates each in leg space, in the robot's order: (abduction,) swing, extension.
 
 Tan et al. 2018, eq. 3: a(t, o) = reference(t) + feedback(o).
 """
@@ -24,104 +24,104 @@ from surefoot.task.foot_paths import FootPaths
 from surefoot.task.stride_choice import StrideChoice
 
 Extent = tuple[tuple[float, float], ...]
-"""Lowest and highest value of each coordinate of leg space."""
+"""Minimum and maximum of each coordinate of leg space."""
 RATE_STEP = 0.002
-"""Half of the time [s] over which the velocity of a pose is taken."""
+"""Step [s] of the central difference for the velocity of a pose."""
 ACCELERATION_STEP = 0.01
-"""Half of the time [s] over which the acceleration of a pose is taken: it jumps where feet touch down and lift off."""
+"""Step [s] of the central difference for the acceleration of a pose, which jumps at touchdown and lift-off."""
 
 
 @dataclass(frozen=True)
 class Feedforward:
-    """Leads of commands over a reference, which make up for what actuators lag and give way."""
+    """Feedforward gains, which compensate for the lag and the compliance of actuators."""
 
     velocity: float = 0.0
-    """Time [s] by which commands lead along the velocity of the pose; k_d / k_p makes up for an actuator's damping."""
+    """Gain on the velocity of the pose [s]; k_d / k_p compensates for the damping of an actuator."""
     acceleration: float = 0.0
-    """Square of the time [s^2] by which commands lead along the acceleration of the pose."""
+    """Gain on the acceleration of the pose [s^2]; inertia / k_p compensates for an inertia."""
     weight: float = 0.0
-    """Angle by which commands lead, relative to the lever arm of the weight [rad/m]."""
+    """Gain on the lever arm of the weight [rad/m]; m g / k_p compensates for the deflection under the weight."""
 
     @property
     def moves_poses(self) -> bool:
-        """Whether poses lead; commands are clipped to the leg space then."""
+        """Whether there is feedforward of motion. Commands are then clipped to the legs' range."""
         return bool(self.velocity or self.acceleration)
 
 
 class Reference(ABC):
-    """Poses over time. Its defaults are for references that no command changes, without leads."""
+    """Base class of references. Defaults are for references without commands and feedforward."""
 
     @property
     @abstractmethod
     def period(self) -> Any:
-        """Time [s] after which the reference repeats; None if it never does."""
+        """Period [s], or None if the reference does not repeat."""
 
     @abstractmethod
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the poses (N, C, L) at times (N,) [s] since the episode's start."""
+        """Return the leg poses (N, C, L) at times (N,) [s] since the episode's start."""
 
     @abstractmethod
     def extent(self) -> Extent:
-        """Return the lowest and highest value of each coordinate over all legs, times and commands."""
+        """Return the minimum and maximum of each coordinate over all legs, times and commands."""
 
     @abstractmethod
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration that makes it again, as JSON values."""
+        """Return the equivalent configuration as JSON values."""
 
     @property
     def feedforward(self) -> Feedforward:
-        """Leads of commands over the poses."""
+        """Feedforward gains."""
         return Feedforward()
 
     @property
     def is_clipped(self) -> bool:
-        """Whether reference and feedback together may exceed the leg space, to which commands are clipped."""
+        """Whether commands are clipped to the legs' range, so that reference plus feedback may exceed it."""
         return False
 
     @property
     def following(self) -> FollowingReference | None:
-        """The reference itself, if it follows commands."""
+        """The reference itself if it follows commands, otherwise None."""
         return None
 
     @property
     def foothold_radius(self) -> float:
-        """Maximum distance [m] by which feet land beside the places of their strides, see `Footholds`."""
+        """Maximum distance [m] of footholds from nominal stride positions, see `Footholds`."""
         return 0.0
 
     @property
     def touch_clearance(self) -> float:
-        """Maximum height [m] by which feet are lifted further that meet something, see `ContactReflex`."""
+        """Maximum additional lift [m] of feet after contact in swing, see `ContactReflex`."""
         return 0.0
 
     @property
     def over_holes(self) -> FollowingReference | None:
-        """The gait while the map of heights has holes, if that is another one; see `Footholds`."""
+        """The second gait for terrain with holes, or None; see `GaitSwitch`."""
         return None
 
     def frequency(self, command: Array, over_holes: Array | None = None) -> Array:
-        """Return the frequency (N,) [Hz] at commands (N, 3) and the share of the gait over holes (N,)."""
+        """Return the gait frequency (N,) [Hz] for commands (N, 3) and the blend weight of the gait over holes (N,)."""
         return np.full(len(command), 1.0 / self.period if self.period else 0.0)
 
     def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the velocities (N, C, L) of the poses at times (N,) [s], in units of leg space a second."""
+        """Return the velocities of leg poses (N, C, L) at times (N,) [s], in units of leg space per second."""
         time = np.asarray(time, float)
         return (self.pose(time + RATE_STEP) - self.pose(time - RATE_STEP)) / (2 * RATE_STEP)
 
     def pose_acceleration(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the second derivatives (N, C, L) of the poses at times (N,) [s]."""
+        """Return the accelerations of leg poses (N, C, L) at times (N,) [s], in leg space units per second squared."""
         time = np.asarray(time, float)
         before, now, after = (self.pose(time + k * ACCELERATION_STEP) for k in (-1, 0, 1))
         return (after - 2.0 * now + before) / ACCELERATION_STEP**2
 
     def load(self, state: CommandState | None = None) -> Array:
-        """Return the fraction of the weight that each leg carries (L,): all alike, as stance is unknown."""
+        """Return the fraction of the weight on each leg (L,): equal for all legs, because stance is unknown."""
         legs = self.pose(0.0).shape[-1]
         return np.full(legs, 1.0 / legs)
 
 
 @dataclass(frozen=True)
 class FollowingReference(Reference):
-    """Feet whose strides have the commanded speed and direction; a robot that stands keeps them on the ground.
+    """Reference whose strides follow the commanded velocity. A standing robot keeps its feet on the ground.
 
     Raises:
         SurefootError: a stride out of the legs' reach.
@@ -133,7 +133,7 @@ class FollowingReference(Reference):
     _extent: Extent = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check that legs reach every stride."""
+        """Check that legs reach all strides and footholds."""
         poses = self.pose(0.0, self.choice.extremes())
         if not np.isfinite(poses).all():
             leg = self.feet.legs[int(np.argwhere(~np.isfinite(poses))[0][-1])]
@@ -144,10 +144,10 @@ class FollowingReference(Reference):
         extent = tuple((float(part.min()), float(part.max())) for part in np.moveaxis(poses, -2, 0))
         object.__setattr__(self, "_extent", extent)
         both = self.foothold_radius and self.touch_clearance
-        if both and not np.isfinite(self.pose(0.0, self.choice.beside_extremes())).all():
+        if both and not np.isfinite(self.pose(0.0, self.choice.foothold_extremes())).all():
             raise SurefootError(
-                "reference.foothold_radius and reference.touch_clearance together lead feet out of the legs' "
-                "reach; make one of them less"
+                "reference.foothold_radius and reference.touch_clearance together move feet out of the legs' "
+                "reach; decrease one of them"
             )
 
     @property
@@ -157,7 +157,7 @@ class FollowingReference(Reference):
 
     @property
     def is_clipped(self) -> bool:
-        """Whether reference and feedback together may exceed the leg space, to which commands are clipped."""
+        """Whether commands are clipped to the legs' range, so that reference plus feedback may exceed it."""
         return self.feedforward.moves_poses
 
     @property
@@ -167,83 +167,83 @@ class FollowingReference(Reference):
 
     @property
     def robot(self) -> RobotDescription:
-        """Robot whose legs these are."""
+        """The robot."""
         return self.kinematics.robot
 
     @property
     def feet(self) -> FootPaths:
-        """Feet on the spot; their stroke is the longest stride."""
+        """Foot trajectories when stepping in place. Their stroke is the maximum stride."""
         return self.kinematics.feet
 
     @property
-    def places(self) -> Array:
-        """Feet below the legs' mounts, (L, 3) [m] from the mounts; z is the height."""
-        return self.kinematics.places
+    def neutral_feet(self) -> Array:
+        """Neutral foot positions relative to the legs' mounts (L, 3) [m]; z is the height."""
+        return self.kinematics.neutral_feet
 
     @property
     def limits(self) -> CommandLimits:
-        """Limits of the commands that are followed."""
+        """Limits of the commands."""
         return self.choice.limits
 
     @property
     def foothold_radius(self) -> float:
-        """Maximum distance [m] by which feet land beside the places of their strides, see `Footholds`."""
+        """Maximum distance [m] of footholds from nominal stride positions, see `Footholds`."""
         return self.kinematics.foothold_radius
 
     @property
     def touch_clearance(self) -> float:
-        """Maximum height [m] by which feet are lifted further that meet something, see `ContactReflex`."""
+        """Maximum additional lift [m] of feet after contact in swing, see `ContactReflex`."""
         return self.kinematics.touch_clearance
 
     @property
     def period(self) -> float:
-        """Time of a step on the spot [s]."""
+        """Period of a cycle when stepping in place [s]."""
         return float(self.feet.period)
 
     def strides(self, command: Array) -> Array:
-        """Return the strides (N, L, 2) [m] forward and to the left for commands (N, 3), no longer than allowed."""
+        """Return the strides forward and to the left (N, L, 2) [m] for commands (N, 3), up to the maximum stride."""
         return self.choice.choose(command)[0]
 
     def frequency(self, command: Array, over_holes: Array | None = None) -> Array:
-        """Return the frequency (N,) [Hz] at commands (N, 3)."""
+        """Return the gait frequency (N,) [Hz] for commands (N, 3)."""
         return self.choice.frequency(command)
 
     def load(self, state: CommandState | None = None) -> Array:
-        """Return the fraction of the weight that each leg carries (N, L), the same for all legs in stance."""
+        """Return the fraction of the weight on each leg (N, L), equal for all legs in stance."""
         assert state is not None
         return self.kinematics.load(state)
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the poses (N, C, L) at the state's commands and phases; the times (N,) are not used."""
+        """Return the leg poses (N, C, L) for the commands and phases in the state; `time` is not used."""
         assert state is not None
         return self.kinematics.pose(state, *self.choice.choose(state.command))
 
     def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the rates (N, C, L) [leg space units per second] of the poses at the state's commands and phases."""
+        """Return the velocities of leg poses (N, C, L) [leg space units per second] for commands and phases."""
         assert state is not None
-        # The frequency is that of the first gait, over holes too.
+        # The frequency of the first gait, also while the gait over holes is active.
         change = RATE_STEP * self.choice.frequency(state.command)
         before, after = (self.pose(time, replace(state, phase=state.phase + sign * change)) for sign in (-1, 1))
         return (after - before) / (2 * RATE_STEP)
 
     def pose_acceleration(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the second derivatives (N, C, L) of the poses at the state's commands and phases."""
+        """Return the accelerations of leg poses (N, C, L) for commands and phases."""
         assert state is not None
         change = ACCELERATION_STEP * self.choice.frequency(state.command)
         before, now, after = (self.pose(time, replace(state, phase=state.phase + k * change)) for k in (-1, 0, 1))
         return (after - 2.0 * now + before) / ACCELERATION_STEP**2
 
     def extent(self) -> Extent:
-        """Return the lowest and highest value of each coordinate over all legs, phases and commands."""
+        """Return the minimum and maximum of each coordinate over all legs, phases and commands."""
         return self._extent
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the configuration that makes it again, as JSON values."""
-        choice, kinematics, ahead = self.choice, self.kinematics, self.feedforward
+        """Return the equivalent configuration as JSON values."""
+        choice, kinematics, feedforward = self.choice, self.kinematics, self.feedforward
         gains = {name: getattr(choice, name) for name in ("stride_gain", "frequency_rise", "turn_gain")}
         names = ("clearance_rise", "height_rise", "foothold_radius", "touch_clearance")
-        others = {name: getattr(kinematics, name) for name in names}
-        others |= {"acceleration_feedforward": ahead.acceleration, "weight_feedforward": ahead.weight}
-        velocity = {"velocity_feedforward": ahead.velocity} if ahead.velocity else {}
-        given = {name: value for name, value in others.items() if value}
-        return {"kind": "follow", "foot": self.feet.to_dict(), **velocity, **gains, **given}
+        optional = {name: getattr(kinematics, name) for name in names}
+        optional |= {"acceleration_feedforward": feedforward.acceleration, "weight_feedforward": feedforward.weight}
+        velocity = {"velocity_feedforward": feedforward.velocity} if feedforward.velocity else {}
+        nonzero = {name: value for name, value in optional.items() if value}
+        return {"kind": "follow", "foot": self.feet.to_dict(), **velocity, **gains, **nonzero}

@@ -1,4 +1,4 @@
-"""Configuration of a reference gait: one dataclass for each kind, which makes the reference for a robot."""
+"""Configuration of reference gaits: one dataclass per kind, with a method that makes the reference for a robot."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ VelocityLead = Annotated[float, Within(0, 10)]
 
 @dataclass(frozen=True)
 class OverHolesConfig:
-    """A gait over holes; units are those of the reference."""
+    """Second gait for terrain with holes, in the units of the reference."""
 
     foot: FootConfig = field(default_factory=FootConfig)
-    """Paths of the feet."""
+    """Foot trajectories."""
     stride_gain: Annotated[float, Within(0, 3)] = 1.15
-    """Length of a stride relative to the stride of a foot that does not slip."""
+    """Stride length relative to the stride of a foot that does not slip."""
     frequency_rise: Annotated[float, Within(0, 3)] = 0.0
-    """Frequency gained at the longest stride, relative to the frequency on the spot."""
+    """Increase of the frequency at the maximum stride, relative to the frequency when stepping in place."""
 
 
 class ReferenceConfig(ABC):
-    """Open loop part of the gait, of any kind; the values here are those of kinds without such a field."""
+    """Base class of reference configurations, with default values for kinds that lack a field."""
 
     kind: str
     file: str | None = None
@@ -54,12 +54,12 @@ class ReferenceConfig(ABC):
     def make(
         self, robot: RobotDescription, commands: CommandLimits | None = None, params: PhysicalParams | None = None
     ) -> Reference:
-        """Make the reference of a robot's legs.
+        """Make the reference for a robot.
 
         Args:
             robot: the robot.
             commands: limits of the commands, for kind follow.
-            params: physical parameters with the actuators' gains, one row. Defaults to the nominal ones.
+            params: physical parameters with the actuators' gains, as one row. Defaults to nominal values.
 
         Raises:
             SurefootError: an unknown leg, a table that does not fit, or a foot out of reach.
@@ -68,10 +68,10 @@ class ReferenceConfig(ABC):
 
 @dataclass(frozen=True)
 class NoReferenceConfig(ReferenceConfig):
-    """No reference: zero at all times."""
+    """No reference: all coordinates are zero."""
 
     kind: Literal["none"] = "none"
-    """Kind of the reference: none, sine, table, foot or follow. Each has keys of its own."""
+    """Kind of reference: none, sine, table, foot or follow. Each kind has its own keys."""
 
     def make(
         self, robot: RobotDescription, commands: CommandLimits | None = None, params: PhysicalParams | None = None
@@ -85,9 +85,9 @@ class SineReferenceConfig(ReferenceConfig):
     """Sinusoids in leg space."""
 
     kind: Literal["sine"] = "sine"
-    """Kind of the reference: none, sine, table, foot or follow. Each has keys of its own."""
+    """Kind of reference: none, sine, table, foot or follow. Each kind has its own keys."""
     abduction: WaveConfig = field(default_factory=WaveConfig)
-    """Abduction of the legs, of robots that have it."""
+    """Abduction of the legs, for robots with abduction."""
     swing: WaveConfig = field(default_factory=WaveConfig)
     """Swing of the legs."""
     extension: WaveConfig = field(default_factory=WaveConfig)
@@ -96,7 +96,7 @@ class SineReferenceConfig(ReferenceConfig):
     def make(
         self, robot: RobotDescription, commands: CommandLimits | None = None, params: PhysicalParams | None = None
     ) -> SineReference:
-        """Make the reference, of the coordinates that the robot's legs have."""
+        """Make the reference for the coordinates of the robot's legs."""
         if "abduction" not in robot.coordinates and self.abduction != WaveConfig():
             raise SurefootError(f"reference.abduction is not zero; the legs of {robot.name} have no abduction")
         return _waves({"abduction": self.abduction, "swing": self.swing, "extension": self.extension}, robot)
@@ -104,25 +104,25 @@ class SineReferenceConfig(ReferenceConfig):
 
 @dataclass(frozen=True)
 class TableReferenceConfig(ReferenceConfig):
-    """A table of poses in leg space that is gone through periodically."""
+    """A periodic table of poses in leg space."""
 
     kind: Literal["table"] = "table"
-    """Kind of the reference: none, sine, table, foot or follow. Each has keys of its own."""
+    """Kind of reference: none, sine, table, foot or follow. Each kind has its own keys."""
     file: str | None = None
     """CSV or NPZ file with columns COORDINATE_LEG, such as swing_front_left."""
-    period: Annotated[float, Within(0, 3600, above=True)] | None = None
-    """Time [s] in which the table is gone through once."""
+    period: Annotated[float, Within(0, 3600, exclusive=True)] | None = None
+    """Period of the table [s]."""
     rows: dict[str, dict[str, tuple[float, ...]]] | None = None
-    """The table itself instead of `file`: under each coordinate of leg space, each leg's poses."""
+    """The table itself instead of `file`: for each coordinate of leg space, the poses of each leg over time."""
 
     def make(
         self, robot: RobotDescription, commands: CommandLimits | None = None, params: PhysicalParams | None = None
     ) -> TableReference:
-        """Make the reference, of the rows if they are given, or read the file."""
+        """Make the reference from `rows`, or from the file."""
         if self.rows is None and self.file is None:
             raise SurefootError("reference.file is missing; a reference of kind table needs a CSV or NPZ file")
         if self.period is None:
-            raise SurefootError("reference.period is missing; a reference of kind table needs the time of its rows [s]")
+            raise SurefootError("reference.period is missing; a reference of kind table needs its period [s]")
         places = [(part, leg) for part in robot.coordinates for leg in robot.leg_names]
         if self.rows is not None:
             where = "reference.rows"
@@ -138,17 +138,17 @@ class TableReferenceConfig(ReferenceConfig):
 
 @dataclass(frozen=True)
 class FootReferenceConfig(ReferenceConfig):
-    """Paths of the feet in their legs' planes that repeat."""
+    """Periodic foot trajectories in the legs' planes."""
 
     kind: Literal["foot"] = "foot"
-    """Kind of the reference: none, sine, table, foot or follow. Each has keys of its own."""
+    """Kind of reference: none, sine, table, foot or follow. Each kind has its own keys."""
     foot: FootConfig = field(default_factory=FootConfig)
-    """Paths of the feet."""
+    """Foot trajectories."""
     velocity_feedforward: VelocityLead = 0.0
-    """Time [s] by which commands lead along the velocity of the reference."""
+    """Feedforward gain on the velocity of the reference [s]."""
     relative: bool = False
-    """Lengths of `foot` count lengths l of the straight leg, its frequency natural frequencies sqrt(g / l) / 2 pi, and
-    `velocity_feedforward` the actuators' k_d / k_p, a mean over motors."""
+    """Use relative units, so that the reference fits any robot: lengths in lengths l of the straight leg, the frequency
+    in sqrt(g / l) / 2 pi, and `velocity_feedforward` in k_d / k_p of the actuators (mean over motors)."""
 
     def make(
         self, robot: RobotDescription, commands: CommandLimits | None = None, params: PhysicalParams | None = None
@@ -161,63 +161,64 @@ class FootReferenceConfig(ReferenceConfig):
 
 @dataclass(frozen=True)
 class FollowReferenceConfig(ReferenceConfig):
-    """Paths of the feet with strides that follow the task's commands."""
+    """Foot trajectories whose strides follow the task's commands."""
 
     kind: Literal["follow"] = "follow"
-    """Kind of the reference: none, sine, table, foot or follow. Each has keys of its own."""
+    """Kind of reference: none, sine, table, foot or follow. Each kind has its own keys."""
     foot: FootConfig = field(default_factory=FootConfig)
-    """Paths of the feet; `foot.stroke` is the longest stride."""
+    """Foot trajectories. `foot.stroke` is the maximum stride."""
     stride_gain: Annotated[float, Within(0, 3)] = 1.15
-    """Length of a stride relative to the stride of a foot that does not slip."""
+    """Stride length relative to the stride of a foot that does not slip."""
     frequency_rise: Annotated[float, Within(0, 3)] = 0.0
-    """Frequency gained at the longest stride, relative to the frequency on the spot."""
+    """Increase of the frequency at the maximum stride, relative to the frequency when stepping in place."""
     turn_gain: Annotated[float, Within(0, 100)] = 1.0
-    """Part of a stride for turning, relative to that of a foot that does not slip."""
+    """Gain on the part of a stride that turns the robot."""
     clearance_rise: Annotated[float, Within(-1, 3)] = 0.0
-    """Clearance gained at the longest stride, relative to the clearance on the spot."""
+    """Increase of the clearance at the maximum stride, relative to the clearance when stepping in place."""
     height_rise: Annotated[float, Within(-0.5, 0.5)] = 0.0
-    """Height gained at the longest stride, relative to the height on the spot."""
+    """Increase of the base height at the maximum stride, relative to the height when stepping in place."""
     foothold_radius: Annotated[float, Within(0, 1)] = 0.0
-    """Maximum distance [m] by which feet land beside the ends of their strides, where the map of heights has a gap, an
-    edge or a wall there; 0: none."""
+    """Maximum distance [m] of footholds from the ends of strides, if the map of heights has a gap, an edge or a wall
+    there; 0: no foothold choice."""
     touch_clearance: Annotated[float, Within(0, 1)] = 0.0
-    """Maximum height [m] by which feet are lifted further that meet something in their swing."""
+    """Maximum additional lift [m] of feet that hit an obstacle in swing; 0: no contact reflex."""
     velocity_feedforward: VelocityLead = 0.0
-    """Time [s] by which commands lead along the velocity of the reference."""
+    """Feedforward gain on the velocity of the reference [s]."""
     acceleration_feedforward: Annotated[float, Within(0, 10)] = 0.0
-    """Square of the time [s^2] by which commands lead along the acceleration of the reference: an inertia over k_p
-    makes up for it."""
+    """Feedforward gain on the acceleration of the reference [s^2]; inertia / k_p compensates for an inertia."""
     weight_feedforward: Annotated[float, Within(0, 100)] = 0.0
-    """Angle by which commands of legs in stance lead, relative to the lever arm of the weight [rad/m]: m g / k_p makes
-    up for what the weight bends actuators."""
+    """Feedforward gain on the lever arm of the weight, for legs in stance [rad/m]; m g / k_p compensates for the
+    deflection of actuators under the weight."""
     over_holes: OverHolesConfig | None = None
-    """The gait while the map of heights has holes, with `foothold_radius`. Defaults to the same gait."""
+    """Second gait while the map of heights shows holes; needs `foothold_radius`. Defaults to the same gait."""
     relative: bool = False
-    """Lengths, with `foothold_radius` and `touch_clearance`, count lengths l of the straight leg, the frequency of
-    `foot` natural frequencies sqrt(g / l) / 2 pi, `velocity_feedforward` the actuators' k_d / k_p,
-    `acceleration_feedforward` rotors' inertia over k_p, and `weight_feedforward` m g over k_p. These are means over
-    motors."""
+    """Use relative units, so that the reference fits any robot: lengths (also `foothold_radius` and `touch_clearance`)
+    in lengths l of the straight leg, the frequency in sqrt(g / l) / 2 pi, `velocity_feedforward` in k_d / k_p of the
+    actuators, `acceleration_feedforward` in rotor inertia / k_p, and `weight_feedforward` in m g / k_p (means over
+    motors)."""
 
     def __post_init__(self) -> None:
         """Reject values out of bounds, and a gait over holes without footholds."""
         super().__post_init__()
         if self.over_holes is not None and not self.foothold_radius:
-            raise SurefootError("reference.over_holes is given and foothold_radius is 0; holes are found for footholds")
+            raise SurefootError(
+                "reference.over_holes is given, but foothold_radius is 0; holes are detected only to choose footholds"
+            )
 
     def make(
         self, robot: RobotDescription, commands: CommandLimits | None = None, params: PhysicalParams | None = None
     ) -> FollowingReference:
-        """Make the reference, of two gaits if there is one over holes."""
+        """Make the reference, with two gaits if there is one for holes."""
         if commands is None:
             raise SurefootError("reference.kind is follow; it needs commands with a range, and the task has none")
         units = _lead_units(robot, params) if self.relative else {}
         names = ("velocity", "acceleration", "weight")
-        ahead = Feedforward(**{name: units.get(name, 1.0) * getattr(self, f"{name}_feedforward") for name in names})
+        gains = Feedforward(**{name: units.get(name, 1.0) * getattr(self, f"{name}_feedforward") for name in names})
         own = self._choice(self, robot, commands, self.touch_clearance)
         if self.over_holes is None:
-            return FollowingReference(own, ahead)
-        other = FollowingReference(self._choice(self.over_holes, robot, commands, 0.0), ahead)
-        return GaitSwitch(own, ahead, holes_gait=other)
+            return FollowingReference(own, gains)
+        other = FollowingReference(self._choice(self.over_holes, robot, commands, 0.0), gains)
+        return GaitSwitch(own, gains, holes_gait=other)
 
     def _choice(
         self,
@@ -226,7 +227,7 @@ class FollowReferenceConfig(ReferenceConfig):
         commands: CommandLimits,
         touch_clearance: float,
     ) -> StrideChoice:
-        """Return the strides of one of the two gaits."""
+        """Return the stride choice of one of the two gaits."""
         length = robot.leg_geometry.length if self.relative else 1.0
         kinematics = FootKinematics(
             robot,
@@ -243,9 +244,9 @@ AnyReferenceConfig = (
     NoReferenceConfig | SineReferenceConfig | TableReferenceConfig | FootReferenceConfig | FollowReferenceConfig
 )
 REFERENCES: tuple[type[AnyReferenceConfig], ...] = get_args(AnyReferenceConfig)
-"""Configurations that a `reference` can be, by its key `kind`; the first one is the default."""
+"""Configuration classes of `reference`, chosen by its key `kind`. The first one is the default."""
 ReferenceField = Annotated[AnyReferenceConfig, tyro.conf.AvoidSubcommands]
-"""A field that holds one of them; its options are those of its default's kind."""
+"""Type of a field with a reference configuration. Its command-line options depend on the kind of its default."""
 
 
 def _waves(waves: Mapping[str, WaveConfig], robot: RobotDescription) -> SineReference:
@@ -254,7 +255,7 @@ def _waves(waves: Mapping[str, WaveConfig], robot: RobotDescription) -> SineRefe
 
 
 def _lead_units(robot: RobotDescription, params: PhysicalParams | None) -> dict[str, float]:
-    """Return the units of relative leads: k_d / k_p, rotors' inertia over k_p, m g / k_p; means over motors."""
+    """Return the units of relative feedforward gains: k_d / k_p, rotor inertia / k_p, m g / k_p; means over motors."""
     params = PhysicalParams.nominal(robot) if params is None else params
     kp, kd, inertia = (float(np.mean(one[0])) for one in (params.servo_kp, params.servo_kd, params.rotor_inertia))
     return {"velocity": kd / kp, "acceleration": inertia / kp, "weight": robot.weight / kp}

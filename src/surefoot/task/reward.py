@@ -1,9 +1,9 @@
-"""Reward terms: each a function of the state at the end of a control step, with its unit and source.
+"""Reward terms: functions of the state at the end of a control step, with their units and sources.
 
-A task's `reward` gives weights by name, and its `reward_limits` the greatest values that count. A term is a sum over
-the control step or a rate; the reward is the weighted sum of both, rates times the step's duration. Rates are
-dimensionless by the robot's own scales, so that the same weights serve every robot: lengths by the straight leg l,
-times by sqrt(l / g), torques by m g l.
+A task's `reward` contains weights by name, and its `reward_limits` upper clipping limits. A term is either a sum over
+the control step or a rate, which is multiplied by the step's duration. The reward is the weighted sum of all terms.
+Rates are made dimensionless by the robot's scales, so that the same weights suit every robot: lengths by the straight
+leg l, times by sqrt(l / g), torques by m g l.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from surefoot.task.state import EnvState, base_tilt
 from surefoot.task.trace import ENERGY_WEIGHT
 
 PAPER_REWARD = {"progress": 1.0, "energy": -ENERGY_WEIGHT}
-"""Tan et al. 2018, eq. 2: (p_n - p_{n-1}) . d - w dt |tau . qdot|, d the world's x axis."""
+"""Reward of Tan et al. 2018, eq. 2: (p_n - p_{n-1}) . d - w dt |tau . qdot|, where d is the world's x axis."""
 
 
 @dataclass(frozen=True)
@@ -27,13 +27,13 @@ class RewardTerm:
     """A reward term."""
 
     unit: str
-    """What its weight multiplies."""
+    """Quantity and unit that the weight multiplies."""
     value: Callable[[EnvState], Array]
-    """Gives its values (N,)."""
+    """Function that returns its values (N,)."""
     source: str
-    """Where it comes from."""
+    """Origin of the term, such as a paper."""
     is_sum: bool = False
-    """Whether it is a sum over the control step; else a rate."""
+    """Whether values are sums over the control step; otherwise rates."""
 
 
 _TAN = "Tan et al. 2018, eq. 2"
@@ -70,7 +70,7 @@ TERMS: dict[str, RewardTerm] = {
     ),
     "heading_error": RewardTerm("|e|, rad", lambda m: np.abs(m.heading_error), "heading that is held"),
     "vertical_speed": RewardTerm("v_z^2, g l", lambda m: m.velocity[:, 2] ** 2, _RUDIN),
-    "roll_pitch_rate": RewardTerm("w^2, g / l", lambda m: (m.turn[:, :2] ** 2).sum(axis=1), _RUDIN),
+    "roll_pitch_rate": RewardTerm("w^2, g / l", lambda m: (m.attitude_rates[:, :2] ** 2).sum(axis=1), _RUDIN),
     "tilt": RewardTerm("angle^2, rad^2", lambda m: (base_tilt(m.truth, m.ground) ** 2).sum(axis=1), _RUDIN),
     "height": RewardTerm("height^2, l^2", lambda m: (m.height / m.scales.length) ** 2, _RUDIN),
     "torque": RewardTerm(
@@ -97,11 +97,20 @@ TERMS: dict[str, RewardTerm] = {
         "mean of squares", lambda m: ((m.action - m.gait.action(m.last_feedback)) ** 2).mean(axis=1), _RUDIN
     ),
 }
-"""Every term that a task's reward can have. Costs have negative weights."""
+"""Available reward terms by name. Costs have negative weights."""
 
 
 def check_reward(weights: Mapping[str, float], limits: Mapping[str, float], key: str = "reward") -> None:
-    """Refuse a reward without terms, terms that do not exist, and limits of terms that the reward does not have."""
+    """Check weights and limits of a reward.
+
+    Args:
+        weights: weights of terms by name.
+        limits: upper clipping limits by name.
+        key: name of the weights in messages.
+
+    Raises:
+        SurefootError: no terms, terms that do not exist, or limits of terms that the reward does not have.
+    """
     if not weights:
         raise SurefootError(f"{key} has no term; choices: {choices(TERMS)}")
     for name in weights:
@@ -115,11 +124,11 @@ def check_reward(weights: Mapping[str, float], limits: Mapping[str, float], key:
 def step_reward(
     weights: Mapping[str, float], limits: Mapping[str, float], state: EnvState
 ) -> tuple[Array, dict[str, Array]]:
-    """Return the reward (N,) of a control step, and the part of each term in it (N,) by name.
+    """Return the reward of a control step (N,), and the contribution of each term (N,) by name.
 
     Args:
-        weights: of terms by name.
-        limits: greatest values that count, by term; of a sum per second.
+        weights: weights of terms by name.
+        limits: upper clipping limits by name; for sums per second.
         state: state at the end of the step.
     """
     totals = {True: np.zeros(len(state.duration)), False: np.zeros(len(state.duration))}
@@ -136,15 +145,16 @@ def step_reward(
 
 
 def energy_weight(weights: Mapping[str, float], limits: Mapping[str, float], weight: float) -> float | None:
-    """Return w [m/J] if the reward is the paper's, progress less w times energy; None for any other.
+    """Return w [m/J] if the reward is the paper's (progress minus w times energy), otherwise None.
 
-    Positions and energy give the return of such a reward, in a robot's trace too. Progress may have a limit.
+    The return of such a reward can be computed from positions and energy, also in a trace of a real robot. Progress may
+    have a limit.
 
     Args:
-        weights: of terms by name.
-        limits: greatest values that count, by term.
-        weight: the robot's m g [N].
+        weights: weights of terms by name.
+        limits: upper clipping limits by name.
+        weight: the robot's weight m g [N].
     """
     cost = -weights.get("energy", 0.0) - weights.get("transport_cost", 0.0) / weight
-    own = weights.get("progress") == 1.0 and weights.keys() <= {"progress", "energy", "transport_cost"}
-    return cost if own and cost >= 0 and limits.keys() <= {"progress"} else None
+    is_paper = weights.get("progress") == 1.0 and weights.keys() <= {"progress", "energy", "transport_cost"}
+    return cost if is_paper and cost >= 0 and limits.keys() <= {"progress"} else None

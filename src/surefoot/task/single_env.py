@@ -1,4 +1,4 @@
-"""One robot on one task, as a Gymnasium environment; and the batch inside environments of other packages."""
+"""Single-robot Gymnasium environment, and access to the batch inside wrapped environments."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from surefoot.world.interface import SimulationFactory
 
 
 class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
-    """One robot on one task, for learners without support of vector environments: a batch of one.
+    """Gymnasium environment with one robot, for learning libraries without support for vector environments.
 
-    Observations (O,), actions (A,), rewards and arguments are `LocomotionEnv`'s; without a seed any is taken. `info`
-    describes every step, with what a batch has in arrays; at the end of an episode it holds its `figures`.
+    It wraps a `LocomotionEnv` with one robot and has the same observations (O,), actions (A,), rewards and arguments.
+    Without a seed, a random one is used. `info` describes every step (see `StepInfo`), with scalars instead of arrays.
+    At the end of an episode it contains its metrics (`figures`).
     """
 
     metadata = {"render_modes": ["rgb_array"]}  # noqa: RUF012
@@ -39,26 +40,26 @@ class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
-        """Start an episode; with a seed, every stream of random numbers too."""
+        """Start an episode; a seed also restarts all random streams."""
         super().reset(seed=seed)
         observation, _ = self.batch.reset(seed=seed)
         return observation[0], {}
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Run one control step."""
+        """Apply an action (A,) for one control step; return observation, reward, terminated, truncated and info."""
         observation, reward, terminated, truncated, info = self.batch.step(np.asarray(action)[None])
-        # The figures are not under the key `episode`, which belongs to Gymnasium's own wrapper.
+        # Metrics of the episode do not use the key `episode`, which belongs to Gymnasium's RecordEpisodeStatistics.
         single: dict[str, Any] = _first({name: part for name, part in info.items() if not name.startswith("_")})
         return observation[0], float(reward[0]), bool(terminated[0]), bool(truncated[0]), single
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override, unused-ignore]
-        """Return a picture (height, width, 3); None without a camera."""
-        pictures = self.batch.render()
-        return None if pictures is None else pictures[0]
+        """Return an image (height, width, 3), or None without a camera."""
+        images = self.batch.render()
+        return None if images is None else images[0]
 
 
 def _first(info: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a batch's information says of its first robot: arrays of a row, numbers and flags."""
+    """Return the entries of a batch's `info` for its first robot."""
     return {
         name: _first(part) if isinstance(part, Mapping) else part[0] if part.ndim > 1 else part[0].item()
         for name, part in info.items()
@@ -66,7 +67,7 @@ def _first(info: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def find_batch(env: Any) -> LocomotionEnv:
-    """Return the batch of robots inside an environment: of Gymnasium or Stable-Baselines3, wrapped or not.
+    """Return the `LocomotionEnv` inside an environment of Gymnasium or Stable-Baselines3, which may be wrapped.
 
     Raises:
         SurefootError: an environment of another package, or one in another process.

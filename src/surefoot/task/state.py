@@ -1,7 +1,7 @@
-"""State of a batch of robots: what observations, reward terms, terminations and components take.
+"""State of a batch of robots, the input of observations, reward terms, terminations and components.
 
-A `RobotState` is what a robot's own computer knows too. An `EnvState` adds what only a simulation knows. The heading
-frame is upright and has the base's yaw.
+A `RobotState` contains only quantities that a robot's control computer also has. An `EnvState` adds the true state of a
+simulation. The heading frame is upright and has the yaw of the base.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from surefoot.world.ground import Ground
 from surefoot.world.interface import SensorReadings, SimState, Simulation
 
 _CACHED = ("_rates", "action")
-"""Quantities of a control step that `EnvState` computes when they are first asked for."""
+"""Cached properties of `EnvState`, which are computed again after every control step."""
 
 
 @dataclass(frozen=True)
 class RobotScales:
-    """Units that make a robot's motion dimensionless."""
+    """Scales that make a robot's motion dimensionless."""
 
     length: float
-    """Straight leg l [m]."""
+    """Length l of the straight leg [m]."""
     speed: float
     """sqrt(g l) [m/s]."""
     rate: float
@@ -40,35 +40,35 @@ class RobotScales:
 
     @classmethod
     def from_robot(cls, robot: RobotDescription) -> RobotScales:
-        """Return a robot's scales."""
+        """Return the scales of a robot."""
         length = robot.leg_geometry.length
         return cls(length, float(np.sqrt(GRAVITY * length)), float(np.sqrt(GRAVITY / length)), robot.weight)
 
 
 def base_height(position: Array, ground: Ground) -> Array:
-    """Return heights (N,) [m] of points (N, 3) in the world above the level of the ground."""
-    return np.asarray(position[:, 2] - ground.level(position[:, :2]))
+    """Return the heights (N,) [m] of points in the world (N, 3) above the smoothed ground."""
+    return np.asarray(position[:, 2] - ground.smooth_height(position[:, :2]))
 
 
 def base_tilt(truth: SimState, ground: Ground) -> Array:
-    """Return roll and pitch (N, 2) [rad] of the base relative to a base that lies along the slope of the ground."""
+    """Return roll and pitch of the base relative to the slope of the ground (N, 2) [rad]."""
     angles = truth.roll_pitch_yaw
-    if not ground.course.size:
+    if not ground.smooth_heights.size:
         return angles[:, :2]
     tilt: Array = angles[:, :2] - ground.tilt(truth.base_position_world[:, :2], angles[:, 2])
     return tilt
 
 
 def base_rates(before: SimState, after: SimState, duration: Array | float) -> tuple[Array, Array]:
-    """Return mean rates of the base over a control step, for N robots.
+    """Return the mean velocities of the base over a control step, for N robots.
 
     Args:
-        before: truth at the beginning.
-        after: truth at the end.
-        duration: of the step [s], a number or (N, 1).
+        before: true state at the start.
+        after: true state at the end.
+        duration: duration of the step [s], a number or (N, 1).
 
     Returns:
-        Velocity in the heading frame of the beginning [m/s] and rates of roll, pitch and yaw [rad/s], (N, 3) each.
+        Velocity in the heading frame at the start [m/s], and rates of roll, pitch and yaw [rad/s], (N, 3) each.
     """
     velocity = (after.base_position_world - before.base_position_world) / duration
     turned = (after.roll_pitch_yaw - before.roll_pitch_yaw + np.pi) % (2 * np.pi) - np.pi
@@ -77,26 +77,26 @@ def base_rates(before: SimState, after: SimState, duration: Array | float) -> tu
 
 @dataclass
 class RobotState:
-    """What the computer of a robot knows at the end of a control step, of N robots with M motors."""
+    """State at the end of a control step as known to the control computer, for N robots with M motors."""
 
     gait: HybridGait
     readings: SensorReadings
     duration: Array
     """Duration of the control step (N,) [s]."""
     feedback: Array
-    """Feedback of the control step (N, A), see `HybridGait`; zero before the first."""
+    """Feedback of the control step (N, A), see `HybridGait`; zero before the first step."""
     target: Array
-    """Motor angles (N, M) [rad] that were commanded."""
+    """Commanded motor angles (N, M) [rad]."""
     command: Array
-    """Commanded speeds forward and to the left [m/s] and yaw rate [rad/s] (N, 3); zero in a task without commands."""
+    """Requested speeds forward and to the left [m/s] and yaw rate [rad/s] (N, 3); zero in a task without commands."""
     filtered_command: Array
-    """Command that the gait follows, with its change limited, without the correction of the heading (N, 3)."""
+    """Command after the rate limit, without the yaw rate of the heading control (N, 3) [m/s, m/s, rad/s]."""
     heading_error: Array
-    """Commanded heading minus the robot's heading (N,) [rad]."""
+    """Desired minus measured heading (N,) [rad]."""
     gait_state: CommandState | None = None
-    """Command, phase, footholds and lift that the gait follows; None in a task without commands."""
+    """Command, phase, footholds and lift of the gait; None in a task without commands."""
     heights: Array | None = None
-    """Heights of the ground around the robots (N, K) [m], see `height_scan`; None without a map."""
+    """Terrain heights around the robots (N, K) [m], see `height_scan`; None without a map."""
 
     @classmethod
     def initial(cls, gait: HybridGait, readings: SensorReadings, duration: Array, **more: Any) -> Any:
@@ -106,7 +106,7 @@ class RobotState:
             gait: the gait.
             readings: the first readings.
             duration: duration of the control step (N,) [s].
-            more: fields of a subclass.
+            more: additional fields of a subclass.
         """
         num_envs = len(duration)
         return cls(
@@ -122,7 +122,7 @@ class RobotState:
         )
 
     def without_truth(self) -> RobotState:
-        """Return the state without what only a simulation knows."""
+        """Return the state without the true state of the simulation."""
         return RobotState(**{field.name: getattr(self, field.name) for field in fields(RobotState)})
 
 
@@ -134,41 +134,41 @@ class EnvState(RobotState):
     ground: Ground
     scales: RobotScales
     truth: SimState
-    """Truth at the end of the control step."""
+    """True state at the end of the control step."""
     before: SimState
-    """Truth at its beginning."""
+    """True state at the start of the control step."""
     last_feedback: Array
-    """Feedback of the control step before (N, A)."""
+    """Feedback of the previous control step (N, A)."""
     start_place: Array
-    """Place on the ground at which the next episode starts (N, 2) [m]."""
+    """Position on the ground at which the next episode starts (N, 2) [m]."""
     start_position: Array
-    """Place where the base settled (N, 3) [m]."""
+    """Position of the settled base at the episode's start (N, 3) [m]."""
     command_error: Array
-    """Mean speeds forward and to the left and yaw rate minus the command (N, 3) [m/s, m/s, rad/s]."""
+    """Mean speeds forward and to the left and yaw rate minus the filtered command (N, 3) [m/s, m/s, rad/s]."""
     stride_error: Array
-    """Command error, averaged exponentially over a stride (N, 3) [m/s, m/s, rad/s]."""
+    """Command error, exponentially averaged over a stride (N, 3) [m/s, m/s, rad/s]."""
     foothold_error: Array
-    """Error of feet that touched down in this control step (N,), see `FootholdError`."""
+    """Foothold error of feet that touched down in this control step (N,), see `FootholdError`."""
     push_force: Array
-    """Force on the base in the world (N, 3) [N]."""
+    """Push force on the base in the world frame (N, 3) [N]."""
     reward: Array
     """Reward of the control step (N,)."""
     reward_terms: dict[str, Array]
-    """Contribution of each reward term to it (N,), by name."""
+    """Contribution of each reward term to the reward (N,), by name."""
     steps: NDArray[np.int64]
-    """Control steps of the episode (N,)."""
+    """Control steps since the episode's start (N,)."""
     returns: Array
-    """Return of the episode (N,)."""
+    """Return since the episode's start (N,)."""
     terminated: NDArray[np.bool_]
-    """Robots whose episode was ended by the control step, for another reason than its length (N,)."""
+    """Whether the episode ended in this control step by a fall or divergence (N,)."""
     truncated: NDArray[np.bool_]
-    """Robots whose episode reached its length in the control step (N,)."""
+    """Whether the episode reached its maximum length in this control step (N,)."""
     over: NDArray[np.bool_]
-    """Robots that wait for a reset (N,)."""
+    """Whether the robot waits for a reset (N,)."""
 
     @classmethod
     def of_world(cls, world: Simulation, gait: HybridGait, ground: Ground) -> EnvState:
-        """Return the state of the robots of a world, before their first reset."""
+        """Return the state of a world's robots before their first reset."""
         num_envs, truth = world.num_envs, world.truth()
         state: EnvState = cls.initial(
             gait,
@@ -202,32 +202,43 @@ class EnvState(RobotState):
         return {name: getattr(self, name) for name in names}
 
     def begin_episodes(self, rows: NDArray[np.int64], readings: SensorReadings) -> None:
-        """Take the state of robots that were reset, with the readings of all."""
+        """Update the state after some robots were reset.
+
+        Args:
+            rows: indices of the robots that were reset.
+            readings: readings of all robots.
+        """
         self.observe_world(readings)
         self.over[rows], self.feedback[rows] = False, 0.0
         self.start_position[rows] = self.truth.base_position_world[rows]
 
     def finish_step(self, target: Array, feedback: Array, readings: SensorReadings) -> None:
-        """Take the state at the end of a control step, with the commanded motor angles and the feedback in them."""
+        """Update the state at the end of a control step.
+
+        Args:
+            target: commanded motor angles (N, M) [rad].
+            feedback: feedback in these commands (N, A).
+            readings: readings at the end of the step.
+        """
         before = self.truth
         self.target, self.last_feedback, self.feedback = target, self.feedback, feedback
         self.observe_world(readings)
         self.before = before
 
     def observe_world(self, readings: SensorReadings) -> None:
-        """Take readings and truth of the world as they are now."""
+        """Update readings and true state from the world."""
         self.readings, self.truth, self.duration = readings, self.world.truth(), self.world.params.control_step
         for name in _CACHED:
             self.__dict__.pop(name, None)
 
     @property
     def idle(self) -> NDArray[np.bool_]:
-        """Robots whose control step does not count: they diverged in it, or waited for a reset (N,)."""
+        """Whether the robot diverged in this control step or waits for a reset, so that the step is ignored (N,)."""
         return self.truth.diverged | self.over
 
     @property
     def done(self) -> NDArray[np.bool_]:
-        """Robots whose episode ended in the control step (N,)."""
+        """Whether the episode ended in this control step (N,)."""
         return self.terminated | self.truncated
 
     @cached_property
@@ -242,7 +253,7 @@ class EnvState(RobotState):
 
     @property
     def height(self) -> Array:
-        """Height of the base above where it settled (N,) [m]."""
+        """Height of the base relative to the settled height at the episode's start (N,) [m]."""
         return base_height(self.truth.base_position_world, self.ground) - base_height(self.start_position, self.ground)
 
     @property
@@ -251,21 +262,21 @@ class EnvState(RobotState):
         return self._rates[0] / self.scales.speed
 
     @property
-    def turn(self) -> Array:
+    def attitude_rates(self) -> Array:
         """Mean rates of roll, pitch and yaw (N, 3) [sqrt(g / l)]."""
         return self._rates[1] / self.scales.rate
 
     @property
     def velocity_error(self) -> Array:
-        """Mean velocity minus the command (N, 2) [sqrt(g l)]."""
+        """Mean velocity minus the filtered command (N, 2) [sqrt(g l)]."""
         return (self._rates[0][:, :2] - self.filtered_command[:, :2]) / self.scales.speed
 
     @property
     def yaw_rate_error(self) -> Array:
-        """Mean yaw rate minus the command (N,) [sqrt(g / l)]."""
+        """Mean yaw rate minus the filtered command (N,) [sqrt(g / l)]."""
         return (self._rates[1][:, 2] - self.filtered_command[:, 2]) / self.scales.rate
 
     @cached_property
     def action(self) -> Array:
-        """Normalized feedback (N, A), from -1 to 1 between its bounds."""
+        """Feedback normalized to -1 to 1 between its bounds (N, A)."""
         return self.gait.action(self.feedback)

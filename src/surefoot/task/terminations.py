@@ -1,6 +1,6 @@
-"""Terminations: conditions that end an episode, each with its unit and source.
+"""Terminations: conditions that end an episode, with their units and sources.
 
-The configuration of a task has the limit of each under its name; a limit of 0 means none.
+The task configuration has a field with the limit of each condition under its name; 0 disables it.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ class Termination:
     unit: str
     """Unit of its limit."""
     ends: Callable[[EnvState, float], Flags]
-    """Returns whether the episodes of robots end (N,), for a state and the limit."""
+    """Function of state and limit that returns whether each robot's episode ends (N,)."""
     source: str
-    """Where it comes from."""
+    """Origin of the condition, such as a paper."""
     is_timeout: bool = False
-    """Whether the episode could have continued: a truncation."""
+    """Whether the condition truncates the episode instead of terminating it."""
 
 
 def is_tilted(state: EnvState, angle: float) -> Flags:
-    """Return whether roll or pitch relative to the slope of the ground is beyond an angle [rad], (N,)."""
+    """Return whether roll or pitch relative to the slope of the ground exceeds an angle [rad] (N,)."""
     return np.asarray(np.any(np.abs(base_tilt(state.truth, state.ground)) > angle, axis=1))
 
 
 def is_low(state: EnvState, height: float) -> Flags:
-    """Return whether the base's origin is below a height [m] above the level of the ground, (N,)."""
+    """Return whether the base's origin is lower than a height [m] above the smoothed ground (N,)."""
     return np.asarray(base_height(state.truth.base_position_world, state.ground) < height)
 
 
@@ -48,11 +48,11 @@ TERMINATIONS: dict[str, Termination] = {
     "fall_height": Termination("m", is_low, "keeps gaits from crawling on the belly"),
     "max_steps": Termination("control steps", lambda state, limit: state.steps >= limit, "length of an episode", True),
 }
-"""Every condition that ends an episode, besides a simulation that diverges."""
+"""Conditions that end an episode, by name, in addition to a diverged simulation."""
 
 
 def end_episodes(state: EnvState, task: TaskConfig) -> None:
-    """Write to the state which episodes the control step has terminated and truncated."""
+    """Set `terminated` and `truncated` of the state."""
     ended = {False: state.truth.diverged, True: np.zeros(len(state.over), np.bool_)}
     for name, termination in TERMINATIONS.items():
         if limit := getattr(task, name):

@@ -11,27 +11,27 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.rotations import in_heading_frame
 from surefoot.seeding import generators
-from surefoot.task.command_tracking import has_kept_up, step_ways
+from surefoot.task.command_tracking import is_success, step_distances
 from surefoot.task.component import Component
 from surefoot.task.state import EnvState
 from surefoot.task.terrain import TerrainConfig
 from surefoot.world.terrain import TerrainField
 
-MISSED = 0.5
-"""Share of the commanded way below which a robot goes back by a level."""
-MIN_WAY = 2.5
-"""Distance [m] from the start to which the commands of an episode must lead: `START` of it is level, and commands that
-turn can be followed for any length without leaving that place."""
+MIN_COVERED_FRACTION = 0.5
+"""Fraction of the commanded distance below which a robot is moved down a level."""
+MIN_COMMANDED_DISPLACEMENT = 2.5
+"""Distance [m] from the start to which the commands of an episode must lead before it changes the level: the first
+`START_HALF_SIDE` of it is level ground, and commands that turn in circles never leave that place."""
 
 
 class TerrainCurriculum(Component):
-    """Tiles on which robots start, by how much of the commanded distance they covered.
+    """Choice of the tiles on which robots start, by how much of the commanded distance they covered.
 
     Args:
-        config: with sizes.
-        tiles: its field.
+        config: terrain configuration with `sizes`.
+        tiles: field of tiles built from it.
         num_envs: number of robots N.
-        seed: seeds the levels and columns, one stream a robot.
+        seed: seed of the levels and columns, with one random stream per robot.
     """
 
     prefix = "terrain"
@@ -41,11 +41,11 @@ class TerrainCurriculum(Component):
         self.config, self.tiles = config, tiles
         self._streams = generators(seed, "terrain", num_envs)
         self.level = np.array([stream.integers(config.start_level + 1) for stream in self._streams])
-        # Kinds are spread evenly over robots, whatever their number.
+        # Kinds of terrain are spread evenly over any number of robots.
         self.column = np.arange(num_envs) % len(tiles.kinds)
         self.commanded, self.covered = np.zeros((2, num_envs))
         self.led = np.zeros((num_envs, 2))
-        """Where the commands have led since the start (N, 2) [m], in the world."""
+        """Displacement since the start if the commands had been followed exactly (N, 2) [m], in the world frame."""
         self.begun = np.zeros(num_envs, np.bool_)
 
     @property
@@ -58,7 +58,7 @@ class TerrainCurriculum(Component):
         state.start_place[rows] = self.begin(rows, state.terminated[rows])
 
     def after_step(self, state: EnvState) -> None:
-        """Add the control step to the distances, where it counts."""
+        """Add the distances of the control step, except for robots that diverged or wait for a reset."""
         velocity = state.command_error[:, :2] + state.filtered_command[:, :2]
         self.record(state.command[:, :2], velocity, state.before.roll_pitch_yaw[:, 2], state.duration * ~state.idle)
 
@@ -67,13 +67,19 @@ class TerrainCurriculum(Component):
         return {"levels": self.levels()}
 
     def begin(self, rows: NDArray[np.int64], fell: NDArray[np.bool_]) -> Array:
-        """Return the places (n, 2) [m] where robots start next; `fell` (n,) is how their last episodes ended."""
+        """Update levels and return the positions (n, 2) [m] where robots start next.
+
+        Args:
+            rows: indices of the robots (n,).
+            fell: whether their last episodes ended in a fall (n,).
+        """
         if self.config.curriculum:
-            way, covered = self.commanded[rows], self.covered[rows]
-            judged = self.begun[rows] & (np.linalg.norm(self.led[rows], axis=1) >= MIN_WAY)
-            rise = judged & has_kept_up(way, covered, ~fell)
-            back = self.begun[rows] & fell | judged & (covered < MISSED * way)
-            self.level[rows] += rise.astype(np.int64) - back
+            commanded, covered = self.commanded[rows], self.covered[rows]
+            displacement = np.linalg.norm(self.led[rows], axis=1)
+            is_rated = self.begun[rows] & (displacement >= MIN_COMMANDED_DISPLACEMENT)
+            up = is_rated & is_success(commanded, covered, ~fell)
+            down = self.begun[rows] & fell | is_rated & (covered < MIN_COVERED_FRACTION * commanded)
+            self.level[rows] += up.astype(np.int64) - down
             for i in rows[self.level[rows] >= self.config.levels]:
                 self.level[i] = self._streams[i].integers(self.config.levels)
             self.level[rows] = np.maximum(self.level[rows], 0)
@@ -84,12 +90,19 @@ class TerrainCurriculum(Component):
         return starts
 
     def record(self, command: Array, velocity: Array, yaw: Array, duration: Array) -> None:
-        """Add a control step of `duration` (N,) [s], which began with `yaw` (N,) [rad]; else as `step_ways`."""
-        commanded, covered = step_ways(command, velocity, duration)
+        """Add the distances of a control step.
+
+        Args:
+            command: commanded speeds forward and to the left (N, 2) [m/s].
+            velocity: velocity of the base in its heading frame (N, 2) [m/s].
+            yaw: yaw at the start of the step (N,) [rad].
+            duration: duration of the step (N,) [s].
+        """
+        commanded, covered = step_distances(command, velocity, duration)
         self.commanded += commanded
         self.covered += covered
-        way = np.column_stack([command * duration[:, None], np.zeros(len(command))])
-        self.led += in_heading_frame(way, -yaw)[:, :2]
+        displacement = np.column_stack([command * duration[:, None], np.zeros(len(command))])
+        self.led += in_heading_frame(displacement, -yaw)[:, :2]
 
     def levels(self) -> Mapping[str, float]:
         """Return the mean level of the robots on each kind of terrain."""
@@ -98,12 +111,12 @@ class TerrainCurriculum(Component):
 
 
 class EpisodeStarts(Component):
-    """Places and headings of robots whose episodes start.
+    """Positions and headings of robots whose episodes start.
 
     Args:
-        heading: greatest heading to either side [deg].
-        num_envs: robots.
-        seed: seeds the headings, one stream per robot.
+        heading: maximum heading to either side [deg].
+        num_envs: number of robots.
+        seed: seed of the headings, with one random stream per robot.
     """
 
     def __init__(self, heading: float, num_envs: int, seed: int) -> None:
@@ -116,7 +129,7 @@ class EpisodeStarts(Component):
         return {"heading_streams": self._streams}
 
     def before_reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
-        """Place the robots on their tiles, with random headings."""
+        """Place the robots on their tiles with random headings."""
         limit, streams = self._limit, self._streams
         headings = np.array([streams[i].uniform(-limit, limit) if streams else 0.0 for i in rows])
         state.world.place(rows, state.start_place[rows], headings)

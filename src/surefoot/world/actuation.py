@@ -1,16 +1,15 @@
-"""Code that all simulated worlds share between two physics steps: sensors, delays, servo and motor.
+"""Actuation shared by all simulated worlds: sensors, delays, servos and motors between two physics steps.
 
-One robot, one servo step: an engine calls `compute_torque`, applies `state.torque` for the step, adds one to
+In each servo step of a robot, an engine calls `compute_torque`, applies `state.torque` for the step, increments
 `state.ticks`, writes the robot's new state to `state.sample` and calls `record_sample`.
 
-Times of readings, with a servo step dt, servo latency L_s and control latency L_c:
+Timing, with the servo step dt, servo latency L_s, control latency L_c and control step T:
 
-    time       what happens
-    n dt       the engine's present state enters the history
-    n dt       the servo reads angles and speeds of n dt - L_s, sets the duty; back-EMF uses the present speed
+    time       event
+    n dt       the engine's current state is appended to the history
+    n dt       the servo reads angles and speeds of n dt - L_s and sets the duty; back-EMF uses the current speed
     n dt       torque acts on the robot until (n + 1) dt
-    k T        the policy reads everything as it was at k T - L_c, where T is the control step, and its
-               command holds from k T to (k + 1) T
+    k T        the policy reads the state of k T - L_c, and its command holds from k T to (k + 1) T
 """
 
 from __future__ import annotations
@@ -48,16 +47,17 @@ Vector = tuple[float, float, float]
 RACK_HEIGHT = 1.0
 """Height [m] of the base on a rack."""
 SPEED_LIMIT = 1e5
-"""A generalized speed beyond this [m/s, rad/s] counts as diverged, before an engine itself would complain."""
-_AT_LIMIT = 0.999
-"""Share of its greatest torque from which a constraint motor is at its limit: engines solve for torques."""
+"""Generalized speed [m/s, rad/s] above which a simulation counts as diverged, before the engine itself reports it."""
+_SATURATION_FRACTION = 0.999
+"""Fraction of its maximum torque above which a constraint motor is at its limit, as solvers find torques
+iteratively."""
 SHARED_ARRAYS = ("table_current", "table_torque", "constants", "constraint", "joint", "joint_limits")
-"""Arrays of `ActuationState` that have no row for each robot."""
-CONTACT = ("contact_friction", "contact_stiffness", "contact_spinning_friction", "contact_shear_ratio")
-"""Physical parameters of the feet's contact."""
-RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
+"""Arrays of `ActuationState` that all robots share, without one row per robot."""
+CONTACT_PARAMS = ("contact_friction", "contact_stiffness", "contact_spinning_friction", "contact_shear_ratio")
+"""Physical parameters of the foot contact."""
+MASS_RATIOS = ("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio")
 """Physical parameters of masses and inertias."""
-_PARAMS = {
+_PARAM_ARRAYS = {
     **{
         name: name
         for name in (
@@ -69,23 +69,23 @@ _PARAMS = {
     "max_torque": "torque_limit",
     **{"strength": "motor_strength", "friction": "motor_friction", "viscous": "motor_viscous_friction"},
 }
-"""Arrays of `ActuationState` that hold a physical parameter, and its name."""
-_ROBOTS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_filter", "torque_lag", "energy")
-"""Arrays of `ActuationState` with a number for each robot."""
-_MOTORS = (
+"""Arrays of `ActuationState` that contain a physical parameter, with the parameter's name."""
+_ROBOT_ARRAYS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_filter", "torque_lag", "energy")
+"""Arrays of `ActuationState` with one value per robot."""
+_MOTOR_ARRAYS = (
     *("strength", "friction", "viscous", "kp", "kd", "load_friction", "target", "duty", "torque", "constraint_speed"),
     *("constraint_torque", "motor_torque", "heat", "overheated_time", "filtered_speed"),
     *("max_torque", "presliding", "friction_stretch", "motor_offset", "limit_ticks"),
 )
-"""Arrays of `ActuationState` with a number for each motor."""
+"""Arrays of `ActuationState` with one value per motor."""
 IMU_WIDTH = 6
-"""Numbers of the IMU in a reading: roll, pitch, yaw [rad], and angular velocity in the base frame [rad/s]."""
+"""IMU columns of a reading: roll, pitch, yaw [rad], and angular velocity in the base frame [rad/s]."""
 _rpy_quat = njit(cache=True)(rpy_quat)
 roll_pitch_yaw = kernel(quat_rpy)
 
 
 class ActuationState(NamedTuple):
-    """Arrays of a batch of robots with M motors and L legs; first axis `num_envs` unless said otherwise."""
+    """State of servos, motors and sensors, for N robots with M motors and L legs and a history of H samples."""
 
     strength: Array  # (N, M)
     friction: Array  # (N, M) N m, Coulomb
@@ -101,43 +101,48 @@ class ActuationState(NamedTuple):
     torque_lag: Array  # (N,) s, time constant, of joint actuators
     max_torque: Array  # (N, M) N m at low speed, of joint actuators
     presliding: Array  # (N, M) rad, of joint actuators
-    motor_offset: Array  # (N, M) rad, readings of encoders less the true angles
+    motor_offset: Array  # (N, M) rad, readings of encoders minus the true angles
     table_current: Array  # (points,) A, all robots
     table_torque: Array  # (points,) N m, all robots
     joint: NDArray[np.bool_]  # (1,) all robots: whether motors are joint actuators instead of DC motors
-    joint_limits: Array  # (3, M) all robots: speeds of full and of no torque, overheat torque
+    joint_limits: Array  # (3, M) all robots: maximum speed at full torque, no-load speed, overheat torque
     constants: Array  # (4,) all robots: voltage clip V, overheat torque N m and time s (inf: off), servo step s
     constraint: NDArray[np.bool_]  # (1,) all robots: whether motors are constraints instead of DC motors
     ticks: NDArray[np.int64]  # (N,) servo steps since reset
-    times: Array  # (N, H) s, of the history
-    history: Array  # (N, H, 2 M + 6)
-    sample: (
-        Array  # (N, 2 M + 6) angles that encoders read, speeds, roll, pitch, yaw, angular velocity in the base frame
-    )
+    times: Array  # (N, H) s, times of the history
+    history: Array  # (N, H, 2 M + 6) past samples
+    sample: Array  # (N, 2 M + 6) encoder angles, speeds, roll, pitch, yaw, angular velocity in the base frame
     servo_sample: Array  # (N, 2 M) delayed angles and speeds for the servo
     target: Array  # (N, M) rad
-    duty: Array  # (N, M) added to the servo's duty: 0 in simulations, set by PWM commands on a robot
+    duty: Array  # (N, M) added to the servo's duty: 0 in simulations, set by the PWM commands of an emulated robot
     torque: Array  # (N, M) N m on the motor shaft, friction included
     constraint_speed: Array  # (N, M) rad/s, target of constraint motors at the step's end
-    constraint_torque: Array  # (N, M) N m at most, of constraint motors
-    motor_torque: Array  # (N, M) N m of the motor itself
-    energy: Array  # (N,) J, integral of |tau . qdot| since it was set to zero
-    heat: Array  # (N, M) J, of windings since it was set to zero; 0 for constraint motors, which have no current
+    constraint_torque: Array  # (N, M) N m, maximum of constraint motors
+    motor_torque: Array  # (N, M) N m of the motor, without friction
+    energy: Array  # (N,) J, integral of |tau . qdot| since the last reset to zero
+    heat: Array  # (N, M) J, of windings since the last reset to zero; 0 for constraint motors, which have no current
     overheated_time: Array  # (N, M) s
-    filtered_speed: Array  # (N, M) rad/s, speeds that joint actuators use
-    friction_stretch: Array  # (N, M) rad, of joint actuators that stick
-    switched_off: NDArray[np.bool_]  # (N, M)
-    contact_ticks: Array  # (N, L) servo steps with the foot on the ground since it was set to zero
-    limit_ticks: Array  # (N, M) servo steps with the motor at its limit since it was set to zero
+    filtered_speed: Array  # (N, M) rad/s, filtered speeds for joint actuators
+    friction_stretch: Array  # (N, M) rad, elastic deflection of sticking friction in joint actuators
+    switched_off: NDArray[np.bool_]  # (N, M) by thermal protection
+    contact_ticks: Array  # (N, L) servo steps with foot contact since the last reset to zero
+    limit_ticks: Array  # (N, M) servo steps with the motor at its limit since the last reset to zero
 
 
 def new_actuation(robot: RobotDescription, num_envs: int, history: int, config: WorldConfig) -> ActuationState:
-    """Return the arrays for `num_envs` robots with nominal parameters and an empty history of that many samples."""
+    """Return the state of `num_envs` robots with nominal parameters and an empty history.
+
+    Args:
+        robot: the robot.
+        num_envs: number of robots N.
+        history: number of samples H in the history.
+        config: configuration of the world.
+    """
     motors, data = robot.num_motors, robot.actuator
     width = 2 * motors + IMU_WIDTH
     shapes: dict[str, tuple[int, ...]] = {
-        **dict.fromkeys(_ROBOTS, ()),
-        **dict.fromkeys(_MOTORS, (motors,)),
+        **dict.fromkeys(_ROBOT_ARRAYS, ()),
+        **dict.fromkeys(_MOTOR_ARRAYS, (motors,)),
         "times": (history,),
         "history": (history, width),
         "sample": (width,),
@@ -167,19 +172,19 @@ def new_actuation(robot: RobotDescription, num_envs: int, history: int, config: 
 
 
 def set_actuation_params(state: ActuationState, index: NDArray[np.int64], params: PhysicalParams) -> None:
-    """Apply the parameters of servo and motor to the robots at `index`, one row each."""
-    for name, parameter in _PARAMS.items():
+    """Set the parameters of servos and motors of the robots at `index`, one row per robot."""
+    for name, parameter in _PARAM_ARRAYS.items():
         getattr(state, name)[index] = getattr(params, parameter)
 
 
 def bases_on_rack(num_envs: int) -> Array:
-    """Return an engine's `base` of robots on a rack, (N, 10): level, `RACK_HEIGHT` up, and at rest."""
+    """Return the base states (N, 10) of robots on a rack, as `Engine.base` does: level, at `RACK_HEIGHT`, at rest."""
     return np.tile([0.0, 0.0, RACK_HEIGHT, 1.0, *[0.0] * 6], (num_envs, 1))
 
 
 @njit(cache=True, inline="always")
 def quat_product(a: Quat, b: Quat) -> Quat:
-    """Return the product of two quaternions w x y z; outside of compiled code their components may be arrays."""
+    """Return the product of two quaternions w x y z. Outside compiled code, components may be arrays."""
     (aw, ax, ay, az), (bw, bx, by, bz) = a, b
     return (
         aw * bw - ax * bx - ay * by - az * bz,
@@ -191,9 +196,9 @@ def quat_product(a: Quat, b: Quat) -> Quat:
 
 @kernel
 def rotate_inverse(quat: Quat, vector: Vector) -> Vector:
-    """Return a vector of the world in the frame of a body with a unit quaternion w x y z in it.
+    """Rotate a vector from the world frame to a body frame, given the body's unit quaternion w x y z.
 
-    By the conjugate q* = (w, -u): v - 2 u x (w v - u x v).
+    Uses the conjugate q* = (w, -u): v - 2 u x (w v - u x v).
     """
     (w, x, y, z), (vx, vy, vz) = quat, vector
     cx, cy, cz = w * vx - (y * vz - z * vy), w * vy - (z * vx - x * vz), w * vz - (x * vy - y * vx)
@@ -202,7 +207,7 @@ def rotate_inverse(quat: Quat, vector: Vector) -> Vector:
 
 @kernel
 def record_sample(state: ActuationState, i: int) -> None:
-    """Append the present state of robot `i` to its history, stamped with the robot's own time."""
+    """Append the current sample of robot `i` to its history, with the robot's own time."""
     push_kernel(
         state.times[i],
         state.history[i],
@@ -214,7 +219,7 @@ def record_sample(state: ActuationState, i: int) -> None:
 
 @kernel
 def protect_motor(state: ActuationState, i: int, m: int, torque: float, hot_torque: float) -> float:
-    """Return a motor's torque [N m], 0 once its thermal protection has switched it off; kept as `motor_torque`."""
+    """Return a motor's torque [N m] after thermal protection, which switches it off; also stored as `motor_torque`."""
     _, _, hot_limit, dt = state.constants
     if hot_limit < math.inf:
         hot = overheat_kernel(torque, state.overheated_time[i, m], dt, hot_torque)
@@ -229,7 +234,7 @@ def protect_motor(state: ActuationState, i: int, m: int, torque: float, hot_torq
 
 @kernel
 def compute_joint_torque(state: ActuationState, i: int) -> None:
-    """Compute `state.torque` of robot `i` by joint actuators, from the angles and speeds that they measure."""
+    """Compute `state.torque` of robot `i` with joint actuators, from the delayed angles and speeds."""
     motors = state.target.shape[1]
     dt = state.constants[3]
     follow = dt / (state.speed_filter[i] + dt)
@@ -269,10 +274,10 @@ def compute_joint_torque(state: ActuationState, i: int) -> None:
 
 @kernel
 def compute_torque(state: ActuationState, i: int) -> None:
-    """Compute `state.torque` of robot `i` by servo and motor from the state in the history.
+    """Compute `state.torque` of robot `i` from servo and motor models and the state in the history.
 
-    Constraint motors set their target speed, `state.constraint_speed`; the engine finds their torque,
-    at most `state.constraint_torque`, and `add_constraint_work` takes it after the step.
+    For constraint motors this is only the friction. Their target speed is written to `state.constraint_speed`; the
+    engine solves for their torque, up to `state.constraint_torque`, and `add_constraint_work` uses it after the step.
     """
     motors = state.target.shape[1]
     if state.constraint[0]:
@@ -332,37 +337,37 @@ def compute_torque(state: ActuationState, i: int) -> None:
 
 @kernel
 def add_constraint_work(state: ActuationState, i: int) -> None:
-    """Add up the work of robot `i`'s constraint motors over the last step.
+    """Add the work of the constraint motors of robot `i` in the last step to its energy.
 
-    The engine has set `state.motor_torque`, and `state.sample` with the speeds at the step's end. Positions move by
-    these speeds, so torque times speed times step is the work done.
+    The engine has set `state.motor_torque`, and `state.sample` with the speeds at the end of the step. Positions change
+    by these speeds, so the work is torque times speed times step.
     """
     motors = state.target.shape[1]
     power = 0.0
     for m in range(motors):
         power += state.motor_torque[i, m] * state.sample[i, motors + m]
-        if abs(state.motor_torque[i, m]) >= _AT_LIMIT * state.constraint_torque[i, m]:
+        if abs(state.motor_torque[i, m]) >= _SATURATION_FRACTION * state.constraint_torque[i, m]:
             state.limit_ticks[i, m] += 1.0
     state.energy[i] += state.constants[3] * abs(power)
 
 
 @njit(cache=True)
 def read_delayed(state: ActuationState, latency: Array, out: Array) -> None:
-    """Write the readings (N, width) that are `latency` (N,) [s] old to `out`."""
+    """Write the samples of `latency` (N,) [s] ago to `out` (N, width)."""
     for i in range(len(latency)):
         at = state.ticks[i] * state.constants[3] - latency[i]
         read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, at, out.shape[1], out[i])
 
 
 def read_imu(attitude: Array, rates: Array, time: Array, params: PhysicalParams, rows: Any = slice(None)) -> None:
-    """Turn attitudes and rates of bases into IMU readings: mount, bias and drift, without noise.
+    """Convert attitudes and angular velocities of bases to IMU readings: mounting, bias and drift, without noise.
 
     Args:
-        attitude: roll, pitch and yaw (N, 3) [rad]; updated.
-        rates: angular velocity in the base frame (N, 3) [rad/s]; updated.
-        time: since the robots' last reset (N,) [s].
-        params: mounts, biases and drifts.
-        rows: which of its rows, N of them.
+        attitude: roll, pitch and yaw (N, 3) [rad]; modified in place.
+        rates: angular velocity in the base frame (N, 3) [rad/s]; modified in place.
+        time: time since the last reset of each robot (N,) [s].
+        params: physical parameters with mounting, bias and drift.
+        rows: rows of `params`, N of them.
     """
     mount = params.imu_mount[rows]
     if mount.any():
@@ -376,14 +381,15 @@ def read_imu(attitude: Array, rates: Array, time: Array, params: PhysicalParams,
 
 @njit(cache=True)
 def rotate_to_imu(attitude: Array, rates: Array, mount: Array) -> None:
-    """Transform attitudes and rates of bases into readings of IMUs with other orientations.
+    """Transform attitudes and angular velocities of bases to readings of IMUs with other orientations.
 
-    With the rotation R_b of the base in the world and R_m of the IMU in the base, the IMU's attitude is R_b R_m, and
-    it reads the angular velocity R_m^T w.
+    With the rotation R_b of the base in the world and R_m of the IMU in the base, the attitude of the IMU is R_b R_m,
+    and it reads the angular velocity R_m^T w.
 
     Args:
-        attitude: roll, pitch and yaw (N, 3) [rad]; yaw about z, then pitch about y, then roll about x; updated.
-        rates: angular velocity w in the base frame (N, 3) [rad/s]; updated.
+        attitude: roll, pitch and yaw (N, 3) [rad]; yaw about z, then pitch about y, then roll about x. Modified in
+            place.
+        rates: angular velocity w in the base frame (N, 3) [rad/s]. Modified in place.
         mount: roll, pitch and yaw of the IMU in the base frame (N, 3) [rad].
     """
     for i in range(len(attitude)):

@@ -1,14 +1,14 @@
-"""A batch of robots in Bullet, each in a physics client of its own.
+"""Bullet engine: a batch of robots, each in its own physics client.
 
-Servo, motors, delays and sensors are the same compiled functions as in every other world; Bullet has only the bodies,
-the loops and the contacts. Feet meet the ground by Bullet's own contact with the stiffness and damping of the data
-sheet, which its solver takes implicitly: force = K d + B d' at the end of the step, not at its start. Bullet's friction
-holds a foot without give along the ground. Where `contact_shear_ratio` is not 1, it is off, and the spring-slider of
-`contact` takes its place, with the normal force of the step before.
+Servos, motors, delays and sensors use the same compiled functions as in every other world. Bullet simulates only
+bodies, closed loops and contacts. Feet touch the ground by Bullet's own contact with the stiffness and damping of the
+data sheet, which its solver integrates implicitly: force = K d + B d' at the end of the step, not at its start.
+Bullet's friction is rigid along the ground. If `contact_shear_ratio` is not 1, the spring-slider of `contact` replaces
+it, with the normal force of the previous step.
 
-A robot's state is one row of numbers, in Bullet's own frames: for Bullet, the base is where its centre of mass is,
-turned like its principal axes. After every control step the row is written back to Bullet, whose quaternion of the
-base would otherwise differ from it in the last bit: so a state that is saved and restored continues exactly.
+A robot's state is one row of numbers in Bullet's own frames, in which the base frame is at the base's centre of mass,
+along its principal axes. After every control step, the row is written back to Bullet, because Bullet's quaternion of
+the base would differ from it in the last bit. Hence a saved and restored state continues exactly.
 """
 
 from __future__ import annotations
@@ -23,19 +23,23 @@ from surefoot.robot.self_collision import collision_pairs
 from surefoot.rotations import matrix_quat, quat_matrix, rpy_matrix, xyzw_matrix
 from surefoot.world.actuation import RACK_HEIGHT, SPEED_LIMIT, ActuationState, bases_on_rack
 from surefoot.world.bullet_kernels import JOINTS, OMEGA, VELOCITY, Layout, base_links, observe, substep
-from surefoot.world.bullet_model import PARAMETERS, PUBLISHED, BulletModel, BulletSettings, import_pybullet
+from surefoot.world.bullet_model import CLIENT_PARAMETERS, PUBLISHED, BulletModel, BulletSettings, import_pybullet
 from surefoot.world.interface import WorldConfig
 
 Index = NDArray[np.int64]
 
 
 class BulletEngine:
-    """Bullet as an `Engine`, one robot after another.
+    """Bullet as an `Engine`, which steps one robot after another.
 
-    With `published`, it has the settings of the simulator that was published with the description of the paper's robot.
+    Args:
+        robot: the robot.
+        actuation: shared state of servos, motors and sensors.
+        config: configuration of the world.
+        published: whether to use the settings of the simulator that was published with the paper's robot.
 
     Raises:
-        SurefootError: a robot that Bullet reads with other masses, or more robots than Bullet has room for.
+        SurefootError: a robot whose masses Bullet reads differently, or more robots than Bullet can hold.
     """
 
     def __init__(
@@ -47,7 +51,7 @@ class BulletEngine:
     ) -> None:
         settings = PUBLISHED if published else BulletSettings()
         if settings.feet != "sphere" and not config.ground.is_flat:
-            raise SurefootError("feet are boxes in world bullet-published, which has no terrain; take world bullet")
+            raise SurefootError("world bullet-published has boxes for feet and no terrain; use world bullet")
         self.robot, self.actuation, self._config, self._settings = robot, actuation, config, settings
         self.gravity = settings.gravity
         num_envs = len(actuation.ticks)
@@ -74,7 +78,7 @@ class BulletEngine:
         self.initial_state = self._resting_state()
 
     def _resting_state(self) -> Array:
-        """Return the resting pose, loops closed by the knees, lowest foot on the ground unless on a rack."""
+        """Return the state in the resting pose: loops closed, and the lowest foot on the ground unless on a rack."""
         model = self.models[0]
         row = np.zeros(self._rows.shape[1])
         for name, angle in self.robot.joint_angles(self.robot.resting_angles).items():
@@ -92,7 +96,7 @@ class BulletEngine:
         return state
 
     def _read(self, i: int, joints: list[int]) -> list[float]:
-        """Read robot `i`'s base, then angles, speeds and motor torques of some of its joints, from Bullet."""
+        """Read from Bullet the base of robot `i`, and the angles, speeds and motor torques of some of its joints."""
         p, body, client = self._p, self.models[i].body, self.models[i].client
         position, quat = p.getBasePositionAndOrientation(body, client)
         velocity, omega = p.getBaseVelocity(body, client)
@@ -107,9 +111,9 @@ class BulletEngine:
         p.resetBaseVelocity(body, row[VELOCITY:OMEGA], row[OMEGA:JOINTS], client)
 
     def advance(self, servo_steps: Index) -> None:
-        """Run every robot for its number of servo steps (N,); those that diverge stop and are marked.
+        """Run each robot for its number of servo steps (N,). Robots that diverge stop and are marked.
 
-        All take a step before any takes the next, so that what is compiled is called once for all of them.
+        Robots advance step by step together, so that compiled functions are called once per step for all robots.
         """
         actuation, measured, applied, layout = self.actuation, self._measured, self._applied, self._layout
         actuation.energy[servo_steps > 0] = 0.0
@@ -135,12 +139,12 @@ class BulletEngine:
             self._finish(i)
 
     def _step(self, i: int, torques: list[float] | None, has_force: np.bool_) -> None:
-        """Step robot `i`, with joint torques and the force on its base if there are any."""
+        """Step robot `i` once, with joint torques and a force on its base if it has them."""
         p, model, measured = self._p, self.models[i], self._measured[i]
         client, body, motors = model.client, model.body, model.motors
         if torques is not None:
             p.setJointMotorControlArray(body, motors, p.TORQUE_CONTROL, forces=torques, physicsClientId=client)
-        if has_force:  # Bullet forgets a force after a step, and when torques are set
+        if has_force:  # Bullet drops a force after each step, and when torques are set
             p.applyExternalForce(body, -1, self._force[i].tolist(), measured[:3].tolist(), p.WORLD_FRAME, client)
         if self._config.ground.friction.size:
             model.update_friction()
@@ -159,10 +163,10 @@ class BulletEngine:
             self.actuation.contact_ticks[i, leg] += 1.0
 
     def _finish(self, i: int) -> None:
-        """Read robot `i`'s whole state from Bullet, and write it back."""
+        """Read the complete state of robot `i` from Bullet, and write it back."""
         row = self._rows[i]
         row[:] = self._read(i, self._joints)[: len(row)]
-        # Knees are looked at here only: what is wrong with one shows at its motor, too, a step later.
+        # Passive knees are checked only here: their divergence also reaches their motors one step later.
         self.diverged[i] |= not np.abs(row).max() < SPEED_LIMIT
         self._invalid[i] = self.diverged[i]
         if not self.diverged[i]:
@@ -171,7 +175,7 @@ class BulletEngine:
                 self._write_base(i)
 
     def _gather_measured(self, i: int) -> Array:
-        """Return the base, angles and speeds that `observe` takes, from robot `i`'s row."""
+        """Return base, motor angles and motor speeds from the row of robot `i`, as input of `observe`."""
         row, motors = self._rows[i], self.models[i].motors
         measured: Array = self._measured[i]
         measured[:JOINTS] = row[:JOINTS]
@@ -179,9 +183,9 @@ class BulletEngine:
         return measured
 
     def _set_constraint_motors(self, i: int) -> None:
-        """Give Bullet's joint motors their targets, gains and limits, which they keep until they get others.
+        """Set targets, gains and limits of Bullet's joint motors, which persist.
 
-        At the end of a step they turn at k (q_target - q) / dt; for k = k_p dt / (k_p dt + k_d) that is
+        At the end of a step, the motors turn at k (q_target - q) / dt. With k = k_p dt / (k_p dt + k_d) this equals
         `constraint_speed_kernel`.
         """
         p, actuation, model = self._p, self.actuation, self.models[i]
@@ -202,25 +206,25 @@ class BulletEngine:
         )
 
     def observe(self, rows: Index) -> None:
-        """Write states to `actuation.sample`."""
+        """Write the current motor and IMU states of robots to `actuation.sample`."""
         for i in rows:
             observe(self._layout, self.actuation, i, self._gather_measured(i))
 
     def get_state(self, rows: Index) -> Array:
-        """Return the whole states (n, size); contacts are forgotten and pins centred, as `set_state` does."""
+        """Return the complete states (n, size). As in `set_state`, contacts are cleared and pins centred."""
         for i in rows:
             self.models[i].clear_contacts()
         offsets = np.array([self.models[i].base_offset for i in rows])
         return np.concatenate([self._rows[rows], self._force[rows], offsets], axis=1)
 
     def set_state(self, rows: Index, states: Array) -> None:
-        """Put robots into states from `get_state`, or all into one."""
+        """Set robots to states from `get_state` (n, size), or all to one state (size,)."""
         for i, state in zip(rows, np.broadcast_to(states, (len(rows), states.shape[-1])), strict=True):
             self._set_robot_state(i, state)
 
     def _set_robot_state(self, i: int, state: Array) -> None:
         if self._invalid[i]:
-            # Bullet's contact search does not recover from positions that are not finite.
+            # Bullet's collision detection does not recover from positions that are not finite.
             values, rotors = self.models[i].values, self.models[i].rotor_inertia
             self._renew(i, self.models[i].base_offset)
             self.models[i].apply(values, rotors)
@@ -246,19 +250,19 @@ class BulletEngine:
         self.models[i].set_rotors(angles.tolist(), speeds.tolist())
 
     def _renew(self, i: int, base_offset: Array) -> None:
-        """Give robot `i` a client of its own anew, with nominal parameters but for the base's centre of mass."""
+        """Replace the client of robot `i`, with nominal parameters except for the base's centre of mass."""
         self.models[i].close()
         self.models[i] = BulletModel(self.robot, self._config, self._settings, self._collision_pairs, base_offset)
 
     def set_motors(self, rows: Index, angles: Array, speeds: Array) -> None:
-        """Put the motors of robots without closed loops to true angles [rad] and speeds [rad/s] (n, M)."""
+        """Set true motor angles [rad] and speeds [rad/s] (n, M) of robots without closed loops."""
         sign = self.robot.motor_sign
         states = self.get_state(rows)
         states[:, self._motor_columns] = np.concatenate([sign * angles, sign * speeds], axis=1)
         self.set_state(rows, states)
 
     def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
-        """Set velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
+        """Set base velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
         if self._config.rack:
             return
         for i, linear, angular in zip(rows, linear_world, angular_base, strict=True):
@@ -273,8 +277,8 @@ class BulletEngine:
         """Set the forces (N, 3) [N] on the bases' centres of mass, in the world frame."""
         self._force[:] = force_world
 
-    def turn(self, rows: Index, angles: Array) -> None:
-        """Turn robots by angles (n,) [rad] about the vertical axis through the world's origin."""
+    def rotate(self, rows: Index, angles: Array) -> None:
+        """Rotate robots by angles (n,) [rad] about the vertical axis through the world's origin."""
         if self._config.rack:
             return
         for i, angle in zip(rows, angles, strict=True):
@@ -285,30 +289,30 @@ class BulletEngine:
             self._write_base(i)
 
     def move_base(self, rows: Index, offset_world: Array) -> None:
-        """Move bases by offsets (n, 3) [m] in the world."""
+        """Translate bases by offsets (n, 3) [m] in the world frame."""
         if not self._config.rack:
             self._rows[rows, :3] += offset_world
             for i in rows:
                 self._write_base(i)
 
     def set_params(self, rows: Index, params: PhysicalParams) -> None:
-        """Apply masses, inertias, knees, floor and the feet's contact, a row for each robot."""
+        """Apply masses, inertias, knees, floor and foot contact, one row per robot."""
         for k, i in enumerate(rows):
             if not np.array_equal(params.base_offset[k], self.models[i].base_offset):
                 state = self.get_state(rows[k : k + 1])
                 self._renew(i, params.base_offset[k])
                 self.set_state(rows[k : k + 1], state)
-            values = {name: float(getattr(params, name)[k]) for name in PARAMETERS}
+            values = {name: float(getattr(params, name)[k]) for name in CLIENT_PARAMETERS}
             self.models[i].apply(values, params.rotor_inertia[k])
             self.models[i].clear_contacts()
 
     def base(self) -> Array:
-        """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
+        """Return base position [m], quaternion (w x y z) and velocity [m/s] in the world frame (N, 10)."""
         if self._config.rack:
             return bases_on_rack(len(self.models))
         centres = np.array([model.base_centre for model in self.models])
         return base_links(self._rows, self.models[0].base_quat, centres)
 
     def foot_positions(self) -> Array:
-        """Return the centres of the feet in the world frame [m], (N, L, 3)."""
+        """Return the foot centres in the world frame (N, L, 3) [m]."""
         return np.array([model.foot_positions() for model in self.models])

@@ -1,8 +1,8 @@
-"""Compiled functions of the Bullet engine: everything between two of Bullet's steps, and its frames.
+"""Compiled functions of the Bullet engine: the computations between two of Bullet's steps, and conversions of frames.
 
-A robot's row of numbers in Bullet's own frames, where the base is at its centre of mass and turned like its principal
-axes: base position (3), quaternion x y z w (4), velocity (3) and angular velocity (3) in the world, then angles and
-then speeds of its joints.
+The state of a robot is a row of numbers in Bullet's own frames, in which the base frame is at the base's centre of
+mass, along its principal axes: base position (3), quaternion x y z w (4), velocity (3) and angular velocity (3) in the
+world, then angles and then speeds of its joints.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ from surefoot.world.ground_contact import sphere_contacts
 Index = NDArray[np.int64]
 
 VELOCITY, OMEGA, JOINTS = 7, 10, 13
-"""Where in a row these begin."""
+"""First index in a row of velocity, angular velocity and joint angles."""
 PIN_LOAD = 1.0
-"""Load [N] at which a pin with play has moved half of its clearance; it smooths the change from side to side."""
+"""Load [N] at which a pin with play has moved by half its clearance. It smooths the change from side to side."""
 PIN_FOLLOW_RATE = 0.2
-"""Share of its path that such a pin moves in a step of 1 ms: .1 kg at 5 N crosses half a millimetre in some 5 ms."""
+"""Fraction of its remaining distance that a pin moves per step of 1 ms: 0.1 kg at 5 N crosses 0.5 mm in some 5 ms."""
 
-NEAR = 0.02
-"""Distance [m] from a foot within which it has a plane to meet: Bullet looks for contacts that far."""
-FAR = -1e3
-"""Offset [m] of a plane that is out of reach."""
+CONTACT_RANGE = 0.02
+"""Distance [m] from a foot within which it gets a contact plane: the range of Bullet's collision detection."""
+PLANE_OUT_OF_REACH = -1e3
+"""Offset [m] of contact planes that are not needed."""
 
 
 class Layout(NamedTuple):
-    """The parts of a `BulletModel` that the compiled functions need."""
+    """Fields of a `BulletModel` that the compiled functions need."""
 
     sign: Array
     base_quat: Array
@@ -54,9 +54,13 @@ class Layout(NamedTuple):
 
 @njit(cache=True)
 def observe(layout: Layout, state: ActuationState, i: int, measured: Array) -> bool:
-    """Write robot `i`'s state to `state.sample`; return false, and write nothing, if it is not finite.
+    """Write the state of robot `i` to `state.sample`; return false and write nothing if it is not finite.
 
-    `measured` holds the first 13 numbers of its row, then angles and speeds of its motors' joints.
+    Args:
+        layout: see `Layout`.
+        state: servos, motors and sensors.
+        i: number of the robot.
+        measured: first 13 numbers of its row, then angles and speeds of its motor joints.
     """
     motors = len(layout.sign)
     for k in range(JOINTS + 2 * motors):
@@ -90,16 +94,16 @@ def substep(
     diverged: NDArray[np.bool_],
     step_done: bool,
 ) -> None:
-    """Run everything between two steps of Bullet for all robots: the end of one, the start of the next.
+    """Finish one step of Bullet and prepare the next one, for all robots.
 
     Args:
-        layout: see there.
+        layout: see `Layout`.
         state: servos, motors and sensors of N robots.
-        measured: states after the step, see `observe`, then the torques of Bullet's joint motors [N m], (N, ...).
-        applied: output, joint torques (N, M) [N m] for the next step.
-        remaining: steps to go, the one that has ended included (N,); updated, 0 where a robot diverges.
-        diverged: set where a robot diverges (N,).
-        step_done: a step has ended; if not, the first is about to start.
+        measured: states after the step (see `observe`), then torques of Bullet's joint motors [N m] (N, ...).
+        applied: output, joint torques for the next step (N, M) [N m].
+        remaining: remaining steps, including the one that ended (N,); modified in place, 0 if a robot diverges.
+        diverged: set to true if a robot diverges (N,).
+        step_done: whether a step has ended; false before the first step.
     """
     motors = len(layout.sign)
     for i in range(len(remaining)):
@@ -112,7 +116,7 @@ def substep(
                 continue
             if state.constraint[0]:
                 for m in range(motors):
-                    # A motor without strength is left out of the solver, and keeps the torque that it had before.
+                    # The solver skips motors without strength, which keep their old torque.
                     limit = state.constraint_torque[i, m]
                     torque = layout.sign[m] * measured[i, JOINTS + 2 * motors + m]
                     state.motor_torque[i, m] = min(max(torque, -limit), limit)
@@ -129,17 +133,17 @@ def substep(
 
 @njit(cache=True)
 def pin_kernel(quats: Array, forces: Array, axes: Array, play: float, shift: Array) -> None:
-    """Move pins with play in their bores for one step.
+    """Move pins with radial play in their bores for one step.
 
-    A pin of radial clearance r lies against its bore on the side to which the force F across it points, and goes from
-    side to side when that changes: u = r F / (|F| + F_0), followed with a delay.
+    The force F across a pin presses it against one side of its bore. With a radial clearance r, its displacement tends
+    to u = r F / (|F| + F_0), with a delay.
 
     Args:
         quats: orientations of the pins' links in the world (L, 4), x y z w.
         forces: forces on the pins in the world frame (L, 3) [N].
         axes: unit vectors along the pins in their links' frames (L, 3).
-        play: r [m].
-        shift: u in the links' frames (L, 3) [m]; updated.
+        play: radial clearance r [m].
+        shift: displacement u in the links' frames (L, 3) [m]; modified in place.
     """
     for k in range(len(quats)):
         quat = (quats[k, 3], quats[k, 0], quats[k, 1], quats[k, 2])
@@ -164,19 +168,19 @@ def sole_kernel(
     force: Array,
     place: Array,
 ) -> None:
-    """Compute the forces along the ground on feet with soles of a stiffness of their own, see `contact`.
+    """Compute the tangential ground forces on feet with a shear stiffness, see `contact`.
 
     Args:
         links: positions [m], orientations x y z w, velocities and angular velocities of the feet's links in the world
             (F, 13).
-        loads: normal forces of the ground on the feet in the step that has ended, world frame (F, 3) [N].
+        loads: normal forces of the ground on the feet in the last step, world frame (F, 3) [N].
         centres: centres of the feet in their links' frames (F, 3) [m].
-        radii: of the feet (F,) [m].
-        friction: coefficients of the feet (F,).
-        law: stiffness along the ground [N/m], damping against it [N s/m], step [s].
-        stretch: of the soles along the world's axes (F, 3) [m]; updated.
-        force: output, world frame (F, 3) [N].
-        place: output, where the forces act, world frame (F, 3) [m].
+        radii: radii of the feet (F,) [m].
+        friction: friction coefficients of the feet (F,).
+        law: tangential stiffness [N/m], normal damping [N s/m], step [s].
+        stretch: shear of the soles along the world's axes (F, 3) [m]; modified in place.
+        force: output, forces in the world frame (F, 3) [N].
+        place: output, points of application in the world frame (F, 3) [m].
     """
     shear, damping, dt = law
     arm, slip = np.empty(3), np.empty(3)
@@ -200,15 +204,15 @@ def sole_kernel(
 
 @njit(cache=True)
 def sphere_centres(links: Array, centres: Array, places: Array) -> None:
-    """Compute where points of links are in the world.
+    """Transform points from link frames to the world frame.
 
     Args:
-        links: position [m] and orientation x y z w of each in the world (F, 7).
-        centres: the point in each link (F, 3) [m].
-        places: output (F, 3) [m].
+        links: position [m] and orientation x y z w of each link in the world (F, 7).
+        centres: point in each link frame (F, 3) [m].
+        places: output, points in the world (F, 3) [m].
     """
     for k in range(len(links)):
-        # The matrix of `quat_matrix`: `rotate_inverse` would round otherwise, and so change results in Bullet.
+        # The matrix of `quat_matrix`, because `rotate_inverse` rounds differently and would change results in Bullet.
         x, y, z, w = links[k, 3], links[k, 4], links[k, 5], links[k, 6]
         a, b, c = centres[k, 0], centres[k, 1], centres[k, 2]
         places[k, 0] = links[k, 0] + ((1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c)
@@ -218,38 +222,38 @@ def sphere_centres(links: Array, centres: Array, places: Array) -> None:
 
 @njit(cache=True)
 def contact_planes(corners: Array, grid: Array, feet: Array, lift: Array, radii: Array, planes: Array) -> None:
-    """Compute the planes that touch the ground where it is deepest in the feet, see `sphere_contacts`.
+    """Compute the tangent planes of the ground at the deepest contacts of the feet, see `sphere_contacts`.
 
     Args:
-        corners: of the `Ground`, (X, Y, 2, 2).
-        grid: of the `Ground`.
-        feet: centres in the world (F, 3) [m].
-        lift: how much the ground under each is lifted (F,) [m].
-        radii: of the feet (F,) [m].
-        planes: output (2 F, 4), unit normal n and offset n . p of its points p [m]: for each foot the one that carries
-            it, then for each the one at a wall.
+        corners: corners of the `Ground`, (X, Y, 2, 2).
+        grid: grid of the `Ground`.
+        feet: centres of the feet in the world (F, 3) [m].
+        lift: height by which the ground under each foot is raised (F,) [m].
+        radii: radii of the feet (F,) [m].
+        planes: output (2 F, 4), unit normal n and offset n . p of the points p [m] of each plane: the supporting planes
+            of all feet, then the wall planes of all feet.
     """
     count = len(feet)
     for k in range(count):
-        x, y, z, reach = feet[k, 0], feet[k, 1], feet[k, 2] - lift[k], radii[k] + NEAR
+        x, y, z, reach = feet[k, 0], feet[k, 1], feet[k, 2] - lift[k], radii[k] + CONTACT_RANGE
         both = sphere_contacts(corners, grid, x, y, z, reach)
         for at_wall in range(2):
             depth, nx, ny, nz = both[at_wall]
-            offset = nx * x + ny * y + nz * z - reach + depth + nz * lift[k] if depth > 0.0 else FAR
+            offset = nx * x + ny * y + nz * z - reach + depth + nz * lift[k] if depth > 0.0 else PLANE_OUT_OF_REACH
             plane = planes[k + at_wall * count]
             plane[0], plane[1], plane[2], plane[3] = nx, ny, nz, offset
 
 
 def base_links(rows: Array, base_quat: Array, base_centres: Array) -> Array:
-    """Return the base links of robots (N, 10): position [m], quaternion w x y z and velocity [m/s] in the world.
+    """Return the states of base links (N, 10): position [m], quaternion w x y z and velocity [m/s] in the world.
 
     Args:
-        rows: see above, (N, ...).
-        base_quat: orientation of Bullet's base in the base link (4,), w x y z.
-        base_centres: centre of mass in each base link (N, 3) [m].
+        rows: rows of the robots in Bullet's frames (N, ...).
+        base_quat: orientation of Bullet's base frame in the base link frame (4,), w x y z.
+        base_centres: centre of mass in each base link frame (N, 3) [m].
     """
     x, y, z, w = rows[:, 3:7].T
-    # Without the rotation of the inertial frame, by the conjugate.
+    # The conjugate removes the rotation of the inertial frame.
     quats = np.stack(quat_product.py_func((w, x, y, z), base_quat * [1, -1, -1, -1]), axis=1)
     arm = np.einsum("nij,nj->ni", quat_matrix(quats), base_centres)
     velocity = rows[:, VELOCITY:OMEGA] - np.cross(rows[:, OMEGA:JOINTS], arm)

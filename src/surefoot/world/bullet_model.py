@@ -1,4 +1,4 @@
-"""A robot's description in Bullet: a client of its own with the fused URDF, closed loops and the ground."""
+"""Bullet model of a robot: a physics client with the fused URDF, closed loops and the ground."""
 
 from __future__ import annotations
 
@@ -17,128 +17,139 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.native_output import quiet
+from surefoot.native_output import discard_output
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.rigid_body import RigidBody
 from surefoot.robot.self_collision import collision_pairs
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import matrix_quat
-from surefoot.world.actuation import CONTACT, RACK_HEIGHT, RATIOS
+from surefoot.world.actuation import CONTACT_PARAMS, MASS_RATIOS, RACK_HEIGHT
 from surefoot.world.bullet_kernels import contact_planes, pin_kernel, sole_kernel, sphere_centres
 from surefoot.world.ground import FLAT, Ground, uneven_floor
 from surefoot.world.ground_contact import friction_factor
 from surefoot.world.interface import WorldConfig
 
 SOLVER_ITERATIONS = 50
-"""With 50, loops stay closed within .02 mm on a slow trot (.09 mm with constraint motors) and .4 mm at a gallop of
-2 m/s, and a trot is within .6 mm of one with 1000 for a second. With 10, a step costs 17 % less, but constraint motors
-open the loops by 1.2 mm, and the robot ends elsewhere.
-"""
+"""Iterations of the constraint solver. With 50, loops stay closed within 0.02 mm in a slow trot (0.09 mm with
+constraint motors) and 0.4 mm in a gallop at 2 m/s, and one second of a trot is within 0.6 mm of the result with 1000.
+With 10, a step costs 17 % less, but constraint motors open the loops by 1.2 mm, and the robot ends at another place."""
 LOOP_ERP = 0.2
-"""Share of a loop's gap that is closed in a step."""
+"""Fraction of a loop's position error that is corrected per step."""
 _NO_OFFSET = np.zeros(3)
-_SPEED_CUT = 1e6
-"""Bullet cuts all generalized speeds at this [m/s, rad/s]; its own 100 would stop motors, and hide a divergence."""
+_MAX_SPEED = 1e6
+"""Limit of all generalized speeds in Bullet [m/s, rad/s]. Its default of 100 would slow motors and hide divergence."""
 ROTOR_RATIO = 300.0
-"""Turns of a rotor for a turn of its joint in Bullet; the more, the less it resists the turning of what it is on."""
-_ROTOR, _FOOT = "rotor of ", "sphere of "
+"""Gear ratio between a rotor and its joint. The higher it is, the less the rotor resists rotations of its own link."""
+_ROTOR_PREFIX, _FOOT_PREFIX = "rotor of ", "sphere of "
 _ROTOR_MASS = 1e-9
-_WEIGHTLESS = RigidBody(_ROTOR_MASS, np.zeros(3), 1e-12 * np.eye(3))
+_MASSLESS_BODY = RigidBody(_ROTOR_MASS, np.zeros(3), 1e-12 * np.eye(3))
 _MIN_ROTOR_INERTIA = 1e-6
 _MAX_VERTICES, _MAX_INDICES = 131_072, 524_288
-"""Of a mesh in PyBullet."""
-_SAME_PLANE = 1e-12
-"""Difference of numbers of a plane, see `contact_planes`, below which it stays where it is."""
+"""Maximum sizes of a mesh in PyBullet."""
+_PLANE_TOLERANCE = 1e-12
+"""Maximum change of the numbers of a contact plane (see `contact_planes`) for which it is not moved."""
 
 
 @dataclass(frozen=True)
 class BulletSettings:
-    """Settings of Bullet that decide how bodies and contacts are solved."""
+    """Solver and contact settings of Bullet."""
 
     solver_iterations: int = SOLVER_ITERATIONS
-    """Iterations of the constraint solver, at most; it stops earlier when nothing changes any more."""
+    """Maximum iterations of the constraint solver, which stops earlier when it has converged."""
     cone_friction: bool = True
-    """A cone of friction; without it Bullet takes a pyramid and solves no spinning friction."""
+    """Use a friction cone instead of a pyramid. With a pyramid, Bullet does not solve spinning friction."""
     gravity: float = GRAVITY
-    """[m/s2]"""
+    """Gravity [m/s2]."""
     feet: Literal["sphere", "shank"] = "sphere"
-    """What feet stand on: the sphere of the URDF, or the lower link as a box that ends at the foot."""
+    """Collision shape of feet: the sphere of the URDF, or the lower link as a box that ends at the foot."""
     ground: Literal["plane", "box"] = "plane"
-    """The floor: a plane, or the top of a box 200 m wide; Bullet finds other contacts between boxes."""
+    """Flat ground: a plane, or the top of a box 200 m wide, with which boxes have other contact points."""
 
 
 PUBLISHED = BulletSettings(cone_friction=False, gravity=10.0, feet="shank", ground="box")
-"""The simulator that was published with the description of the paper's robot (pybullet_envs): no cone friction,
-300 solver iterations over 6 steps, gravity 10 m/s2, lower links as boxes on a box (on a plane, `trot` falls in 5 of 10
-episodes; there it never does)."""
-PARAMETERS = (*CONTACT, *RATIOS, "knee_friction", "knee_play", "floor_unevenness")
-"""Physical parameters that are a client's own; servo, motors and sensors have the others."""
+"""Settings of the simulator that was published with the paper's robot (pybullet_envs): no friction cone, 300 solver
+iterations over 6 steps, gravity 10 m/s2, and lower links as boxes on a box. On a plane instead of a box, `trot` falls
+in 5 of 10 episodes; on the box it never does."""
+CLIENT_PARAMETERS = (*CONTACT_PARAMS, *MASS_RATIOS, "knee_friction", "knee_play", "floor_unevenness")
+"""Physical parameters that Bullet's client implements. Servos, motors and sensors implement all others."""
 
 
 def import_pybullet() -> ModuleType:
-    """Import PyBullet without its banner; a `ModuleNotFoundError`, if it is not installed."""
+    """Import PyBullet without its banner.
+
+    Raises:
+        ModuleNotFoundError: PyBullet is not installed.
+    """
     if "pybullet" in sys.modules:
         return sys.modules["pybullet"]
-    with quiet():
+    with discard_output():
         import pybullet
     module: ModuleType = pybullet
     return module
 
 
 class BulletModel:
-    """A robot in a Bullet client of its own, on the ground, motors off; the client ends with the object.
+    """A robot on the ground in its own Bullet client, with motors off. The client is closed with the object.
 
-    With `pairs`, links that may collide, as `collision_pairs` returns them: it takes a tenth of a second.
+    Bullet's link frames are inertial frames. The robot has L links in addition to the base, each with one joint, M
+    motors, F feet, and P pins that close loops. Indices of links and joints are the same in all clients.
 
-    Bullet's link frames are inertial frames. L links besides the base, each with one joint; M motors, F feet, P pins
-    that close loops. Indices of links and joints are the same in all clients.
+    Args:
+        robot: the robot.
+        config: configuration of the world.
+        settings: settings of Bullet.
+        pairs: links that may collide. Defaults to `collision_pairs(robot)`, which takes a tenth of a second.
+        base_offset: offset of the base's centre of mass from the description's (3,) [m].
 
     Raises:
-        SurefootError: Bullet has no room for another client, or reads other masses than the file has.
+        SurefootError: Bullet can't hold another client, or reads other masses than the file has.
         ModuleNotFoundError: PyBullet is not installed.
     """
 
     client: int
+    """Id of the physics client."""
     ground: int
-    """Body of the world's ground, on which all but the feet may stand."""
+    """Id of the ground's body, with which all links except feet may collide."""
     planes: list[int]
-    """Planes that feet stand on, one for each foot on an uneven floor; on a ground with cells there follows one for
-    each foot at walls. None, if feet stand on the ground itself."""
+    """Ids of the contact planes of feet: one per foot on an uneven floor; on a ground with cells followed by one wall
+    plane per foot. Empty if feet touch the ground's body."""
     body: int
-    """The robot's."""
+    """Id of the robot's body."""
     links: dict[str, int]
-    """Link index by name of the fused link; -1 is the base."""
+    """Link indices by name of the fused link; -1 is the base."""
     joints: dict[str, int]
+    """Joint indices by name."""
     motors: list[int]
     """Joint indices in the robot's motor order."""
     knees: list[int]
-    """Indices of the joints without a motor."""
+    """Indices of joints without a motor."""
     rotors: dict[int, int]
-    """Index of the joint of each rotor by that of the joint it drives."""
+    """Joint index of each rotor, by the index of the joint that it drives."""
     feet: list[int]
-    """Link indices in the order of the legs."""
+    """Link indices of the feet, in the order of the legs."""
     foot_centre: Array
-    """Centre of each foot in its link's inertial frame [m], (F, 3)."""
+    """Centre of each foot in its link's inertial frame (F, 3) [m]."""
     foot_radius: Array
+    """Radius of each foot (F,) [m]."""
     base_centre: Array
-    """Centre of mass of the base in the base link's frame [m], (3,)."""
+    """Centre of mass of the base in the base link's frame (3,) [m]."""
     base_quat: Array
-    """Orientation of the base's inertial frame in the base link's frame, (4,), w x y z."""
+    """Orientation of the base's inertial frame in the base link's frame (4,), w x y z."""
     mass: dict[str, tuple[float, Array]]
-    """Nominal mass [kg] and principal moments [kg m2] of each fused link that moves."""
+    """Nominal mass [kg] and principal moments [kg m2] of each moving fused link."""
     pins: list[int]
-    """Numbers of the constraints that close loops."""
+    """Ids of the constraints that close loops."""
     pin_shift: Array
-    """Displacement of each pin with play in its bore, in its link's inertial frame [m], (P, 3)."""
+    """Displacement of each pin with play in its bore, in its link's inertial frame (P, 3) [m]."""
     soles: bool
-    """The feet's friction is that of `contact`, with a stiffness along the ground of its own, not Bullet's."""
+    """Whether the feet use the friction of `contact` with a shear stiffness, instead of Bullet's friction."""
     values: dict[str, float]
-    """The `PARAMETERS` that the client has."""
+    """Current values of `CLIENT_PARAMETERS`."""
     rotor_inertia: Array
-    """Inertia of each rotor at its joint [kg m2], (M,)."""
+    """Inertia of each rotor, reflected to its joint (M,) [kg m2]."""
     base_offset: Array
-    """Centre of mass of the base, less the description's [m], (3,)."""
+    """Offset of the base's centre of mass from the description's (3,) [m]."""
 
     def __init__(
         self,
@@ -152,19 +163,19 @@ class BulletModel:
         self.robot, self.rack, self._p, self._ground = robot, config.rack, import_pybullet(), config.ground
         self.base_offset = base_offset.copy()
         self._fused = robot.urdf.fuse_fixed_links({robot.base: base_offset})
-        with quiet():
+        with discard_output():
             try:
                 self.client = self._p.connect(self._p.DIRECT)
             except self._p.error:
                 self.client = -1
             if self.client < 0:
-                raise SurefootError("Bullet has no room for another robot in this process; simulate fewer at once")
+                raise SurefootError("Bullet can't hold another robot in this process; simulate fewer robots at once")
             self.close = weakref.finalize(self, self._p.disconnect, self.client)
             self._load(settings)
 
     def _load(self, settings: BulletSettings) -> None:
         p, client, robot, links = self._p, self.client, self.robot, self._fused.links
-        places = robot.urdf.places
+        places = robot.urdf.fused_frames
         base, base_frame = places[robot.base]
         if base != robot.urdf.root:
             raise SurefootError(f"{robot.urdf.path}: base '{robot.base}' moves against root '{robot.urdf.root}'")
@@ -195,48 +206,52 @@ class BulletModel:
                     physicsClientId=client,
                 )
             except p.error as error:
-                raise SurefootError(f"{robot.urdf.path}: Bullet refuses it: {error}") from error
+                raise SurefootError(f"{robot.urdf.path}: Bullet rejects it: {error}") from error
         count = p.getNumJoints(self.body, physicsClientId=client)
         infos = [p.getJointInfo(self.body, joint, physicsClientId=client) for joint in range(count)]
         numbers = {info[1].decode(): info[0] for info in infos}
-        self.joints = {name: number for name, number in numbers.items() if not name.startswith((_ROTOR, _FOOT))}
+        self.joints = {
+            name: number for name, number in numbers.items() if not name.startswith((_ROTOR_PREFIX, _FOOT_PREFIX))
+        }
         self.links = {base: -1} | {info[12].decode(): info[0] for info in infos if info[0] in self.joints.values()}
-        tops = {f"{_FOOT}{leg.foot}": places[leg.foot][0] for leg in robot.legs}
-        self._spheres = [] if self._ground.is_flat else [numbers[name] for name in tops]
+        tops = {f"{_FOOT_PREFIX}{leg.foot}": places[leg.foot][0] for leg in robot.legs}
+        self._foot_spheres = [] if self._ground.is_flat else [numbers[name] for name in tops]
         if pairs:
-            bodies = self.links | dict(zip(tops, self._spheres, strict=False))
+            bodies = self.links | dict(zip(tops, self._foot_spheres, strict=False))
             for one, other in itertools.combinations(bodies, 2):
                 apart = int({tops.get(one, one), tops.get(other, other)} in pairs)
                 p.setCollisionFilterPair(self.body, self.body, bodies[one], bodies[other], apart, client)
         self.motors = [self.joints[name] for name in robot.motor_names]
-        geared = [name for name in robot.motor_names if f"{_ROTOR}{name}" in numbers]
-        self.rotors = {self.joints[name]: numbers[f"{_ROTOR}{name}"] for name in geared}
+        geared = [name for name in robot.motor_names if f"{_ROTOR_PREFIX}{name}" in numbers]
+        self.rotors = {self.joints[name]: numbers[f"{_ROTOR_PREFIX}{name}"] for name in geared}
         self.knees = [joint for joint in self.joints.values() if joint not in self.motors]
-        self.feet = self._spheres or [self.links[places[leg.foot][0]] for leg in robot.legs]
-        self._touching = [*self.links.values(), *self._spheres] if pairs or self._spheres else [-1, *self.feet]
+        self.feet = self._foot_spheres or [self.links[places[leg.foot][0]] for leg in robot.legs]
+        self._colliding_links = (
+            [*self.links.values(), *self._foot_spheres] if pairs or self._foot_spheres else [-1, *self.feet]
+        )
         centres, radii = zip(*(self._foot_sphere(leg.foot) for leg in robot.legs), strict=True)
         self.foot_centre, self.foot_radius = np.array(centres), np.array(radii)
-        if self._spheres:
+        if self._foot_spheres:
             self.foot_centre[:] = 0.0
         _, axes = links[base].body.principal()
         at_base = np.linalg.inv(base_frame)
         self.base_centre = (at_base @ [*links[base].body.centre, 1.0])[:3]
         self.base_quat = matrix_quat(at_base[:3, :3] @ axes)
-        # A base on a rack has no mass.
+        # In Bullet, a fixed base has no mass.
         moving = {name: link.body for name, link in links.items() if not (self.rack and name == base)}
         self.mass = {name: (body.mass, body.principal()[0]) for name, body in moving.items()}
         self._close_loops()
         nominal = robot.nominal_params()
-        self.values = {name: float(nominal[name]) for name in PARAMETERS}
+        self.values = {name: float(nominal[name]) for name in CLIENT_PARAMETERS}
         self.rotor_inertia = np.broadcast_to(nominal["rotor_inertia"], robot.num_motors).astype(float)
         self._set_up_dynamics()
         self.check_masses(self.mass)
         self._gear_rotors()
-        if self._spheres:
+        if self._foot_spheres:
             self._set_floor(self.values["floor_unevenness"])
 
     def _add_ground(self, ground: Ground, box: bool = False) -> int:
-        """Return the number of a body to stand on, which does not move; a flat one is a plane or the top of a box."""
+        """Add a static ground body and return its id; a flat ground is a plane or the top of a box."""
         p, client, place = self._p, self.client, [0.0, 0.0, 0.0]
         if not ground.is_flat:
             vertices, indices = _mesh(ground)
@@ -257,39 +272,39 @@ class BulletModel:
         return number
 
     def _with_feet(self, urdf: Urdf) -> Urdf:
-        """Return the URDF with the spheres of feet on links of their own, which are fixed to where they were.
+        """Return the URDF with the spheres of feet on separate links at the same positions.
 
-        So planes that feet stand on leave the shank alone, which meets the ground itself.
+        Feet then collide with contact planes, and shanks with the ground's body.
         """
         links, joints = dict(urdf.links), dict(urdf.joints)
         for leg in self.robot.legs:
             (sphere,) = self.robot.urdf.links[leg.foot].collisions
-            top, frame = self.robot.urdf.places[leg.foot]
-            place, name = np.eye(4), f"{_FOOT}{leg.foot}"
+            top, frame = self.robot.urdf.fused_frames[leg.foot]
+            place, name = np.eye(4), f"{_FOOT_PREFIX}{leg.foot}"
             place[:3, 3] = (frame @ sphere.frame)[:3, 3]
             others = [shape for shape in links[top].collisions if not np.allclose(shape.frame[:3, 3], place[:3, 3])]
             links[top] = replace(links[top], collisions=tuple(others))
-            links[name] = Link(_WEIGHTLESS, (), (replace(sphere, link=name, frame=np.eye(4)),))
+            links[name] = Link(_MASSLESS_BODY, (), (replace(sphere, link=name, frame=np.eye(4)),))
             joints[name] = Joint(name, "fixed", top, name, (1.0, 0.0, 0.0), place)
         return Urdf(urdf.path, links, joints)
 
     def _with_rotors(self, urdf: Urdf) -> Urdf:
-        """Return the URDF with a rotor beside every joint with a motor, on the link that the motor is fixed to.
+        """Return the URDF with a rotor for each motor joint, on the link to which the motor is fixed.
 
-        Bullet has no inertia of joints. One that is added to the link that the joint turns would resist the turning of
-        the link before it too; a rotor that turns n times as fast, with 1 / n^2 of the inertia, does so by 1 / n.
+        Bullet has no joint inertia (armature). Inertia added to the driven link would also resist rotations of the link
+        before it. A rotor that turns n times as fast with 1 / n^2 of the inertia reduces this to 1 / n.
         """
         rotor = Link(RigidBody(_ROTOR_MASS, np.zeros(3), 1e-9 * np.eye(3)), (), ())
         links, joints = dict(urdf.links), dict(urdf.joints)
         for joint in urdf.joints.values():
             if joint.name in self.robot.motor_names:
-                name = f"{_ROTOR}{joint.name}"
+                name = f"{_ROTOR_PREFIX}{joint.name}"
                 links[name] = rotor
                 joints[name] = replace(joint, name=name, kind="continuous", child=name, limits=None)
         return Urdf(urdf.path, links, joints)
 
     def _gear_rotors(self) -> None:
-        """Couple rotors to their joints, and give them their inertia."""
+        """Couple rotors to their joints by gears, and set their inertia."""
         p, body = self._p, self.body
         for joint, rotor in self.rotors.items():
             ends = (body, joint, body, rotor, p.JOINT_GEAR, [0, 0, 1], [0, 0, 0], [0, 0, 0])
@@ -310,20 +325,20 @@ class BulletModel:
                 )
 
     def set_rotors(self, angles: list[float], speeds: list[float]) -> None:
-        """Put rotors where joints at angles (M,) [rad] and speeds (M,) [rad/s] of the motors have them."""
+        """Set the rotors' angles and speeds for motor joint angles (M,) [rad] and speeds (M,) [rad/s]."""
         for motor, angle, speed in zip(self.motors, angles, speeds, strict=True):
             if motor in self.rotors:
                 position = (ROTOR_RATIO * angle, ROTOR_RATIO * speed)
                 self._p.resetJointState(self.body, self.rotors[motor], *position, self.client)
 
     def _foot_sphere(self, foot: str) -> tuple[Array, float]:
-        """Return the centre [m] of a foot's sphere in its link's inertial frame, and its radius [m]."""
+        """Return the centre of a foot's sphere in its link's inertial frame (3,) [m], and its radius [m]."""
         (sphere,) = self.robot.urdf.links[foot].collisions
-        top, frame = self.robot.urdf.places[foot]
+        top, frame = self.robot.urdf.fused_frames[foot]
         return self._fused.links[top].body.in_principal((frame @ sphere.frame)[:3, 3]), sphere.size[0]
 
     def _with_shanks(self, urdf: Urdf) -> Urdf:
-        """Return the URDF with boxes for feet: each lower link as wide as its visual, as long as to its foot."""
+        """Return the URDF with boxes for feet: each lower link as wide as its visual, and as long as to its foot."""
         links, length = dict(urdf.links), self.robot.five_bar.foot
         frame = np.eye(4)
         frame[2, 3] = length / 2
@@ -331,9 +346,9 @@ class BulletModel:
             box = next((shape for shape in self.robot.urdf.links[leg.foot].visuals if shape.kind == "box"), None)
             if box is None:
                 raise SurefootError(
-                    f"{urdf.path}: link '{leg.foot}' has no visual box; its collision box takes that width"
+                    f"{urdf.path}: link '{leg.foot}' has no visual box, which defines the width of its collision box"
                 )
-            top, _ = self.robot.urdf.places[leg.foot]
+            top, _ = self.robot.urdf.fused_frames[leg.foot]
             links[top] = replace(links[top], collisions=(Shape(top, "box", (*box.size[:2], length / 2), frame),))
         return Urdf(urdf.path, links, urdf.joints)
 
@@ -343,7 +358,7 @@ class BulletModel:
         for loop in robot.loops:
             ends, points = [], []
             for link, point in zip(loop.links, loop.points, strict=True):
-                name, frame = robot.urdf.places[link]
+                name, frame = robot.urdf.fused_frames[link]
                 at_link = self._fused.links[name].body
                 ends.append(self.links[name])
                 points.append(at_link.in_principal((frame @ [*point, 1.0])[:3]))
@@ -361,8 +376,8 @@ class BulletModel:
         self.pin_shift = np.zeros_like(self._pin_places)
 
     def _set_up_dynamics(self) -> None:
-        """Remove damping and default motors, and set the contact of the feet; all else is stiff against the ground."""
-        for link in (*self.links.values(), *self.rotors.values(), *self._spheres):
+        """Remove damping and default motors, and set the foot contact; contacts of other links are stiff."""
+        for link in (*self.links.values(), *self.rotors.values(), *self._foot_spheres):
             self._p.changeDynamics(
                 self.body,
                 link,
@@ -373,26 +388,26 @@ class BulletModel:
                 lateralFriction=1.0,
                 spinningFriction=0.0,
                 rollingFriction=0.0,
-                maxJointVelocity=_SPEED_CUT,
+                maxJointVelocity=_MAX_SPEED,
                 physicsClientId=self.client,
             )
         self._set_joint_friction([*self.joints.values(), *self.rotors.values()], 0.0)
         self._set_foot_contact()
 
     def _set_joint_friction(self, joints: list[int], torque: float) -> None:
-        """Give joints motors with target speed 0 and at most a torque [N m]."""
+        """Set Coulomb friction of joints [N m], as motors with target speed 0 and a torque limit."""
         forces = [torque] * len(joints)
         p = self._p
         p.setJointMotorControlArray(self.body, joints, p.VELOCITY_CONTROL, forces=forces, physicsClientId=self.client)
 
     def apply(self, values: dict[str, float], rotor_inertia: Array) -> None:
-        """Give the robot other `PARAMETERS` and rotors; what depends on those that stay is left as it is."""
-        changed = {name for name in PARAMETERS if values[name] != self.values[name]}
+        """Set `CLIENT_PARAMETERS` and rotor inertias (M,) [kg m2], and update only what depends on changed values."""
+        changed = {name for name in CLIENT_PARAMETERS if values[name] != self.values[name]}
         rotors_changed = not np.array_equal(rotor_inertia, self.rotor_inertia)
         self.values, self.rotor_inertia = values, rotor_inertia.copy()
-        if changed.intersection(CONTACT):
+        if changed.intersection(CONTACT_PARAMS):
             self._set_foot_contact()
-        if changed.intersection(RATIOS):
+        if changed.intersection(MASS_RATIOS):
             self._scale_masses()
         if rotors_changed:
             self._set_rotor_inertia()
@@ -402,8 +417,8 @@ class BulletModel:
             self._set_floor(values["floor_unevenness"])
 
     def _set_foot_contact(self) -> None:
-        _, stiffness, spinning, shear = (self.values[name] for name in CONTACT)
-        # Bullet's own friction holds a foot where it is, without give.
+        _, stiffness, spinning, shear = (self.values[name] for name in CONTACT_PARAMS)
+        # Bullet's own friction is rigid along the ground.
         self.soles = shear != 1.0 and not self.rack
         self._sole_law = (stiffness * shear, self.robot.contact.damping, self.robot.timing.servo_step)
         self._reset_soles()
@@ -411,10 +426,10 @@ class BulletModel:
             self._p.changeDynamics(
                 self.body,
                 link,
-                # Bullet takes it as a length: it bounds the torque about the normal by this times the normal force.
+                # In Bullet this is a length: the torque about the normal is at most this times the normal force.
                 spinningFriction=spinning,
                 contactStiffness=stiffness,
-                # Bullet takes a stiffness only together with a damping.
+                # Bullet uses a stiffness only together with a damping.
                 contactDamping=self.robot.contact.damping,
                 physicsClientId=self.client,
             )
@@ -422,7 +437,7 @@ class BulletModel:
         self.update_friction()
 
     def update_friction(self) -> None:
-        """Give the feet the friction of the places where they are."""
+        """Set the friction of the feet for their positions on the ground."""
         ground, friction = self._ground, np.full(len(self.feet), self.values["contact_friction"])
         if ground.friction.size:
             grid = ground.patch_grid
@@ -433,14 +448,14 @@ class BulletModel:
         self._foot_friction = friction
 
     def _scale_masses(self) -> None:
-        """Multiply the nominal masses and moments of base and other links, and check that Bullet has them."""
-        base_mass, leg_mass, base_inertia, leg_inertia = (self.values[name] for name in RATIOS)
+        """Set scaled masses and moments of the base and other links, and check that Bullet has them."""
+        base_mass, leg_mass, base_inertia, leg_inertia = (self.values[name] for name in MASS_RATIOS)
         scaled = {}
         for name, (mass, moments) in self.mass.items():
             link = self.links[name]
             mass = mass * (base_mass if link < 0 else leg_mass)
             moments = moments * (base_inertia if link < 0 else leg_inertia)
-            # Given a mass alone, Bullet would take the inertia of the collision shape.
+            # Given only a mass, Bullet would use the inertia of the collision shape.
             self._p.changeDynamics(
                 self.body, link, mass=mass, localInertiaDiagonal=moments.tolist(), physicsClientId=self.client
             )
@@ -448,7 +463,7 @@ class BulletModel:
         self.check_masses(scaled)
 
     def check_masses(self, mass: dict[str, tuple[float, Array]]) -> None:
-        """Refuse if Bullet has other masses or principal moments than these, by name of the link."""
+        """Raise a `SurefootError` if Bullet has other masses or principal moments than these, by name of the link."""
         for name, (value, moments) in mass.items():
             info = self._p.getDynamicsInfo(self.body, self.links[name], physicsClientId=self.client)
             if not (np.isclose(info[0], value, rtol=1e-9) and np.allclose(info[2], moments, rtol=1e-6, atol=0.0)):
@@ -458,35 +473,36 @@ class BulletModel:
                 )
 
     def _set_floor(self, unevenness: float) -> None:
-        """Give the feet another floor, see `uneven_floor`; all of the robot but its feet stays on `ground`.
+        """Set an uneven floor for the feet, see `uneven_floor`; other links keep colliding with `ground`.
 
-        Each foot has planes of its own: a height field or a mesh would push a foot whose centre is below its surface,
-        as that of soft feet is, down and out. An uneven floor lifts and lowers a ground with cells.
+        Each foot has its own contact planes, because a height field or mesh would push a foot down and out whose centre
+        is below the surface, as can be the case with soft feet. On a ground with cells, the uneven floor is added to
+        its heights.
         """
         p, client = self._p, self.client
         for plane in self.planes:
             p.removeBody(plane, physicsClientId=client)
         self._floor = uneven_floor(unevenness)
-        standing = self.feet if unevenness or self._spheres else []
-        self.planes = [self._add_ground(FLAT) for _ in [*standing, *self._spheres]]
-        self._planes_at = np.full((len(self.planes), 4), np.nan)
+        standing = self.feet if unevenness or self._foot_spheres else []
+        self.planes = [self._add_ground(FLAT) for _ in [*standing, *self._foot_spheres]]
+        self._plane_poses = np.full((len(self.planes), 4), np.nan)
         for foot in self.feet:
             p.setCollisionFilterPair(self.body, self.ground, foot, -1, int(not standing), physicsClientId=client)
-        for foot, plane in zip([*standing, *self._spheres], self.planes, strict=True):
-            for link in {*self.links.values(), *self._spheres} - {foot}:
+        for foot, plane in zip([*standing, *self._foot_spheres], self.planes, strict=True):
+            for link in {*self.links.values(), *self._foot_spheres} - {foot}:
                 p.setCollisionFilterPair(self.body, plane, link, -1, 0, physicsClientId=client)
 
     def place_planes(self) -> None:
-        """Put the planes that feet stand on, and those at walls, where the ground is deepest in them."""
+        """Move the contact planes and wall planes to the deepest contacts of the feet."""
         feet = self.foot_positions()
-        if not self._spheres:
+        if not self._foot_spheres:
             self._place_on_floor(feet[:, :2])
             return
-        planes, height = np.empty_like(self._planes_at), self._floor.height(feet[:, :2])
+        planes, height = np.empty_like(self._plane_poses), self._floor.height(feet[:, :2])
         contact_planes(self._ground.corners, self._ground.grid, feet, height, self.foot_radius, planes)
-        # One that stays keeps Bullet's contacts with it.
-        moved = ~(np.abs(planes - self._planes_at) < _SAME_PLANE).all(axis=1)
-        self._planes_at[moved] = planes[moved]
+        # Planes that are not moved keep Bullet's contact cache.
+        moved = ~(np.abs(planes - self._plane_poses) < _PLANE_TOLERANCE).all(axis=1)
+        self._plane_poses[moved] = planes[moved]
         for k in np.flatnonzero(moved):
             x, y, z, offset = planes[k]
             quat = np.array([-y, x, 0.0, 1.0 + z]) / np.sqrt(2.0 + 2.0 * z)
@@ -494,51 +510,51 @@ class BulletModel:
             self._p.resetBasePositionAndOrientation(self.planes[k], origin, quat.tolist(), self.client)
 
     def _place_on_floor(self, points: Array) -> None:
-        """Put the planes of an uneven floor where its triangles under the feet at points (F, 2) are."""
+        """Move the planes of an uneven floor to its triangles under the feet at points (F, 2) [m]."""
         triangles = self._floor.plane_at(points)
         heights, slopes = triangles[:, 0], triangles[:, 1:]
-        for k in np.flatnonzero((slopes != self._planes_at[:, :2]).any(axis=1)):
+        for k in np.flatnonzero((slopes != self._plane_poses[:, :2]).any(axis=1)):
             (x, y), height = slopes[k], heights[k] - slopes[k] @ points[k]
             quat = np.array([y, -x, 0.0, 1.0 + np.sqrt(1.0 + x * x + y * y)])
             quat /= np.linalg.norm(quat)
             self._p.resetBasePositionAndOrientation(self.planes[k], [0, 0, height], quat.tolist(), self.client)
-        self._planes_at[:, :2] = slopes
+        self._plane_poses[:, :2] = slopes
 
     def contact_points(self) -> list[tuple[Any, ...]]:
-        """Return Bullet's contact points of the robot with what its feet stand on."""
+        """Return Bullet's contact points between the robot and the bodies that feet touch."""
         bodies = self.planes[: len(self.feet)] or [self.ground]
         return [point for body in bodies for point in self._p.getContactPoints(self.body, body, -2, -2, self.client)]
 
     def foot_positions(self) -> Array:
-        """Return the centres of the feet in the world frame [m], (F, 3)."""
+        """Return the foot centres in the world frame (F, 3) [m]."""
         states = self._p.getLinkStates(self.body, self.feet, computeForwardKinematics=1, physicsClientId=self.client)
         feet = np.empty((len(self.feet), 3))
         sphere_centres(np.array([[*state[0], *state[1]] for state in states]), self.foot_centre, feet)
         return feet
 
     def update_pins(self) -> None:
-        """Move pins with play in their bores, as the forces through them have it after a step; see `pin_kernel`."""
+        """Move pins with play in their bores according to the forces on them after a step; see `pin_kernel`."""
         p, client = self._p, self.client
         states = p.getLinkStates(self.body, self._pin_links, physicsClientId=client)
-        # Bullet states the force on the first link, where the bore is; the pin feels the opposite.
+        # Bullet returns the force on the first link, with the bore; the force on the pin is the opposite.
         forces = np.array([p.getConstraintState(number, physicsClientId=client) for number in self.pins])
         quats = np.array([state[1] for state in states])
         pin_kernel(quats, -forces, self._pin_axes, self.values["knee_play"], self.pin_shift)
         self._place_pins()
 
     def _reset_soles(self) -> None:
-        self._sole_stretch = np.zeros((len(self.feet), 3))
+        self._shear_stretch = np.zeros((len(self.feet), 3))
         self._sole_force, self._sole_place = np.zeros((2, len(self.feet), 3))
 
     def apply_sole_forces(self) -> None:
-        """Apply the forces along the ground on the feet, which Bullet forgets after a step."""
+        """Apply the tangential ground forces on the feet, which Bullet drops after each step."""
         p, client = self._p, self.client
         for link, force, place in zip(self.feet, self._sole_force.tolist(), self._sole_place.tolist(), strict=True):
             if any(force):
                 p.applyExternalForce(self.body, link, force, place, p.WORLD_FRAME, client)
 
     def update_soles(self, points: Sequence[tuple[Any, ...]]) -> None:
-        """Move soles with their feet, from Bullet's contact points after a step; see `sole_kernel`."""
+        """Update the shear and the forces of the soles from Bullet's contact points after a step; see `sole_kernel`."""
         loads = np.zeros((len(self.feet), 3))
         for point in points:
             if point[3] in self.feet:
@@ -547,18 +563,18 @@ class BulletModel:
         links = np.array([[*state[0], *state[1], *state[6], *state[7]] for state in states])
         feet = (self.foot_centre, self.foot_radius)
         law, output = (self._foot_friction, self._sole_law), (self._sole_force, self._sole_place)
-        sole_kernel(links, loads, *feet, *law, self._sole_stretch, *output)
+        sole_kernel(links, loads, *feet, *law, self._shear_stretch, *output)
 
     def clear_contacts(self) -> None:
-        """Forget the contacts that Bullet remembers and the soles' stretch, and centre pins with play."""
+        """Clear Bullet's contact cache and the shear of the soles, and centre pins with play."""
         self._reset_soles()
-        if self._spheres:
-            self._planes_at[:] = np.nan
+        if self._foot_spheres:
+            self._plane_poses[:] = np.nan
         if self.pin_shift.any():
             self.pin_shift[:] = 0.0
             self._place_pins()
-        # A link that gets its collision filter again is taken out of Bullet's pairs, and put back.
-        for link in self._touching:
+        # Setting the collision filter of a link removes it from Bullet's cached pairs and adds it again.
+        for link in self._colliding_links:
             self._p.setCollisionFilterGroupMask(self.body, link, 1, -1, self.client)
 
     def _place_pins(self) -> None:
@@ -568,12 +584,16 @@ class BulletModel:
 
 @functools.lru_cache(maxsize=1)
 def _mesh(ground: Ground) -> tuple[list[list[float]], list[int]]:
-    """Return the corners of a ground's triangles and their indices; refuse more than PyBullet takes."""
+    """Return the vertices of a ground's triangles and their indices.
+
+    Raises:
+        SurefootError: a ground that is too large for PyBullet.
+    """
     corners = ground.triangles().reshape(-1, 3)
     vertices, indices = np.unique(corners, axis=0, return_inverse=True)
     if len(vertices) > _MAX_VERTICES or len(corners) > _MAX_INDICES:
         raise SurefootError(
-            f"the ground has {len(corners) // 3} triangles with {len(vertices)} corners; Bullet takes at most "
-            f"{_MAX_INDICES // 3} with {_MAX_VERTICES}: make the terrain smaller or coarser, or take world mujoco"
+            f"the ground has {len(corners) // 3} triangles with {len(vertices)} corners; Bullet allows at most "
+            f"{_MAX_INDICES // 3} with {_MAX_VERTICES}: make the terrain smaller or coarser, or use world mujoco"
         )
     return vertices.tolist(), indices.ravel().tolist()

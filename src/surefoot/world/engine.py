@@ -1,4 +1,4 @@
-"""The interface of a physics engine, which `SimWorld` drives: bodies, loops and contacts of a batch of robots."""
+"""Interface of physics engines, which `SimWorld` drives: bodies, closed loops and contacts of a batch of robots."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ Index = NDArray[np.int64]
 
 
 class Engine(Protocol):
-    """Physics of a batch of robots; it shares the `ActuationState` arrays with the world.
+    """Physics of a batch of N robots, which shares the `ActuationState` arrays with its world.
 
-    Rows are indices of robots, (n,); other arrays have a row for each of these.
+    `rows` are indices of robots (n,). Other arrays have one row per index.
     """
 
     gravity: float
@@ -27,41 +27,44 @@ class Engine(Protocol):
     diverged: NDArray[np.bool_]
 
     def advance(self, servo_steps: Index) -> None:
-        """Run each robot for its number of servo steps, `compute_torque` before and `record_sample` after each."""
+        """Run each robot for its number of servo steps (N,).
+
+        Before each step the engine calls `compute_torque`, and after it `record_sample`.
+        """
 
     def observe(self, rows: Index) -> None:
-        """Write states to `actuation.sample`."""
+        """Write the current motor and IMU states of robots to `actuation.sample`."""
 
     def get_state(self, rows: Index) -> Array:
-        """Return the whole states (n, size) in the engine."""
+        """Return the complete states (n, size) in the engine."""
 
     def set_state(self, rows: Index, states: Array) -> None:
-        """Put robots into states (n, size), or all into one (size,), and clear their marks of divergence."""
+        """Set robots to states (n, size), or all to one state (size,), and clear their divergence flags."""
 
     def set_motors(self, rows: Index, angles: Array, speeds: Array) -> None:
-        """Put the motors of robots without closed loops to true angles [rad] and speeds [rad/s] (n, M)."""
+        """Set true motor angles [rad] and speeds [rad/s] (n, M) of robots without closed loops."""
 
-    def turn(self, rows: Index, angles: Array) -> None:
-        """Turn robots by angles (n,) [rad] about the vertical axis through the world's origin."""
+    def rotate(self, rows: Index, angles: Array) -> None:
+        """Rotate robots by angles (n,) [rad] about the vertical axis through the world's origin."""
 
     def move_base(self, rows: Index, offset_world: Array) -> None:
-        """Move bases by offsets (n, 3) [m] in the world."""
+        """Translate bases by offsets (n, 3) [m] in the world frame."""
 
     def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
-        """Set velocities (n, 3) [m/s] and angular velocities (n, 3) [rad/s] of bases."""
+        """Set base velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
 
     def set_force(self, force_world: Array) -> None:
-        """Set the forces (N, 3) [N] on all robots' bases, at their centres of mass."""
+        """Set the forces (N, 3) [N] on the bases' centres of mass, in the world frame."""
 
     def set_params(self, rows: Index, params: PhysicalParams) -> None:
-        """Apply masses, inertias and the feet's contact, a row for each robot; states stay as they are."""
+        """Apply masses, inertias and foot contact, one row per robot, without changing states."""
 
     def base(self) -> Array:
-        """Return the base position, quaternion and velocity in the world, (N, 10)."""
+        """Return base position [m], quaternion (w x y z) and velocity [m/s] in the world frame (N, 10)."""
 
     def foot_positions(self) -> Array:
-        """Return the foot centres in the world, (N, L, 3)."""
+        """Return the foot centres in the world frame (N, L, 3) [m]."""
 
 
 EngineFactory = Callable[[RobotDescription, ActuationState, WorldConfig], Engine]
-"""Makes the physics of as many robots as the shared arrays of servos, motors and sensors have rows."""
+"""Factory of engines. The number of robots is the number of rows of the `ActuationState`."""

@@ -1,12 +1,12 @@
-"""Where a sphere, the end of a foot, is deepest in the ground: exact for slopes, for edges and for walls of steps.
+"""Contacts of spheres (feet) and distances of other shapes from the ground, exact for slopes, edges and walls.
 
-A foot beside a step touches two things: what it stands on, and the wall. So there are two contacts of a sphere: the
-deepest one that can carry it, and the deepest one at a wall. The ground is solid downward from its surface; a contact
-is where the surface is nearer to the centre of the sphere than around that place. So edges that cells share without a
-step or a ridge are no obstacles, whatever the sides of cells.
+A foot next to a step touches both the tread and the wall. Hence a sphere has up to two contacts: the deepest supporting
+contact, and the deepest wall contact. The ground is solid below its surface. A contact is a point of the surface that
+is a local minimum of the distance to the centre of the sphere, so edges between cells without a step or ridge are no
+obstacles, for any size of cells.
 
-A sphere whose centre is in the ground has the nearest way out as its contact; beside it, a wall that stands free above
-the surface over the centre: the riser before a foot that has sunk into a tread.
+If the centre of a sphere is below the surface, its contact is at the nearest exit point. In addition, it can touch a
+wall that rises above the surface over the centre, such as the riser ahead of a foot that has sunk into a tread.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ import numpy as np
 from numba import njit
 
 from surefoot.arrays import Array
-from surefoot.world.contact import STEEP
+from surefoot.world.contact import WALL_NORMAL_Z
 
 _function = njit(cache=True, error_model="numpy", _nrt=False)
-"""As `kernel`, but not inlined: this code is long, and most of it is not run at most steps."""
+"""Decorator like `kernel`, but without inlining: this code is long, and most steps execute little of it."""
 
-_EDGE = 1e-9
-"""Height [m] by which an edge must stand out to be one."""
-_STEP = 1e-6
-"""Length [cells] of a step to a side of an edge."""
-PARTS = 4
-"""Of a sphere around a part of a rod, see `shape_clearance`."""
+_MIN_EDGE_HEIGHT = 1e-9
+"""Minimum height [m] by which an edge must stand out."""
+_PROBE_STEP = 1e-6
+"""Distance [cells] at which the ground next to an edge is sampled."""
+SUBSPHERES = 4
+"""Number of smaller spheres that replace the bounding sphere of a part of a rod, see `shape_clearance`."""
 _WALL_SLOPE = 10.0
-"""Slope from which a step down to a side of an edge is a wall."""
+"""Downward slope next to an edge above which it is a wall."""
 
 Contact = tuple[float, float, float, float]
-"""How deep a sphere is in the ground [m], negative above it, and the unit normal where it is deepest."""
+"""Penetration depth of a sphere [m], negative above the ground, and unit normal at the deepest point."""
 
 Vector = tuple[float, float, float]
 
@@ -40,14 +40,14 @@ NO_CONTACT = (-1.0, 0.0, 0.0, 1.0)
 
 
 @_function
-def _clip(share: float) -> float:
-    """Return a place in a cell, from 0 to 1."""
-    return min(max(share, 0.0), 1.0)
+def _clip(value: float) -> float:
+    """Clip a cell coordinate to 0 to 1."""
+    return min(max(value, 0.0), 1.0)
 
 
 @_function
 def _cell_height(cell: Array, u: float, v: float) -> float:
-    """Return the height of a cell (2, 2) at a place, from 0 to 1 along x and y."""
+    """Return the height of a cell with corner heights (2, 2) at coordinates u, v from 0 to 1 along x and y."""
     if u + v <= 1.0:
         return float(cell[0, 0] + u * (cell[1, 0] - cell[0, 0]) + v * (cell[0, 1] - cell[0, 0]))
     return float(cell[1, 1] + (1.0 - u) * (cell[0, 1] - cell[1, 1]) + (1.0 - v) * (cell[1, 0] - cell[1, 1]))
@@ -55,14 +55,14 @@ def _cell_height(cell: Array, u: float, v: float) -> float:
 
 @_function
 def triangle_planes(corners: Array, cell: float, middle: Array, points: Array, planes: Array) -> None:
-    """Compute height and slope along x and y of the triangles at points.
+    """Compute height and slopes of the triangles at points.
 
     Args:
-        corners: those of the `Ground`, (X, Y, 2, 2), with cells.
-        cell: side of a cell [m].
-        middle: of the field (2,) [m].
-        points: where (P, 2) [m].
-        planes: output (P, 3): [m], then slopes, 0 beyond the field.
+        corners: corners of the `Ground` (X, Y, 2, 2), not empty.
+        cell: side length of a cell [m].
+        middle: centre of the field (2,) [m].
+        points: points (P, 2) [m].
+        planes: output (P, 3): height [m], and slopes along x and y, which are 0 beyond the field.
     """
     count_x, count_y = corners.shape[:2]
     for k in range(len(points)):
@@ -77,9 +77,9 @@ def triangle_planes(corners: Array, cell: float, middle: Array, points: Array, p
 
 @_function
 def _height(corners: Array, u: float, v: float, step_u: float, step_v: float, go: float) -> float:
-    """Return the height of the cell that a step from a place (u, v) leads to, after a share `go` of that step.
+    """Return the height of the cell at (u + step_u, v + step_v), evaluated after a fraction `go` of the step.
 
-    Places count cells from the field's corner.
+    Coordinates are in cells from the field's corner.
     """
     i = min(max(math.floor(u + step_u), 0), corners.shape[0] - 1)
     j = min(max(math.floor(v + step_v), 0), corners.shape[1] - 1)
@@ -87,11 +87,11 @@ def _height(corners: Array, u: float, v: float, step_u: float, step_v: float, go
 
 
 @_function
-def _is_nearest(corners: Array, u: float, v: float, z: float, normal: Vector, side: float) -> bool:
-    """Return whether the surface around a place (u, v) of an edge at height z is behind the plane with a normal there.
+def _is_closest_surface(corners: Array, u: float, v: float, z: float, normal: Vector, side: float) -> bool:
+    """Return whether the surface around a point (u, v) of an edge at height z is below the plane with a normal there.
 
-    Around any place it is flat between rays along the sides and diagonals of cells, but for walls. A ray along a wall
-    is looked at on both sides.
+    Around any point, the surface is flat between rays along the sides and diagonals of cells, except for walls. Rays
+    along the sides are therefore sampled on both sides.
     """
     for ray in range(10):
         step_u, step_v = 0.0, 0.0
@@ -102,9 +102,9 @@ def _is_nearest(corners: Array, u: float, v: float, z: float, normal: Vector, si
             step_u, step_v = across, sign
         else:
             step_u, step_v = sign, -sign
-        rise = _height(corners, u, v, _STEP * step_u, _STEP * step_v, 1.0) - z
-        along = _STEP * side * (step_u * normal[0] + step_v * normal[1])
-        if rise > -_WALL_SLOPE * _STEP * side and rise * normal[2] + along > 1e-3 * _STEP * side:
+        rise = _height(corners, u, v, _PROBE_STEP * step_u, _PROBE_STEP * step_v, 1.0) - z
+        along = _PROBE_STEP * side * (step_u * normal[0] + step_v * normal[1])
+        if rise > -_WALL_SLOPE * _PROBE_STEP * side and rise * normal[2] + along > 1e-3 * _PROBE_STEP * side:
             return False
     return True
 
@@ -113,31 +113,34 @@ def _is_nearest(corners: Array, u: float, v: float, z: float, normal: Vector, si
 def _triangle(
     first: float, second: float, third: float, x: float, y: float, z: float, side: float, bound: float
 ) -> tuple[float, float, float, float, bool]:
-    """Return the distance of a point from a triangle, infinite where it is not within the bound.
+    """Return distance and direction from the nearest point of a triangle to a point.
 
-    And the direction from the triangle's nearest point to it, and whether that is within the triangle, not on its
-    border. Within the triangle, the direction is its normal, and the distance negative below it.
+    The triangle has a right angle at (0, 0) and corners at (side, 0) and (0, side).
 
     Args:
-        first: height over (0, 0) [m].
-        second: height over (side, 0) [m].
-        third: height over (0, side) [m].
-        x: of the point [m].
-        y: as x.
-        z: as x.
-        side: of the triangle [m].
-        bound: greatest distance [m] from a triangle that can carry; of others it is not bounded.
+        first: height at (0, 0) [m].
+        second: height at (side, 0) [m].
+        third: height at (0, side) [m].
+        x: coordinate of the point [m].
+        y: coordinate of the point [m].
+        z: coordinate of the point [m].
+        side: side length of the triangle [m].
+        bound: maximum distance of interest [m]; applies only to triangles that are not as steep as walls.
+
+    Returns:
+        Distance [m], infinite beyond the bound; unit direction (3 numbers); and whether the nearest point is in the
+        interior of the triangle. In the interior, the direction is the normal, and the distance is negative below.
     """
     slope_x, slope_y = (second - first) / side, (third - first) / side
     square = 1.0 + slope_x * slope_x + slope_y * slope_y
     over = z - first - slope_x * x - slope_y * y
-    if over > 0.0 and over * over >= bound * bound * square and square * STEEP * STEEP <= 1.0:
+    if over > 0.0 and over * over >= bound * bound * square and square * WALL_NORMAL_Z * WALL_NORMAL_Z <= 1.0:
         return np.inf, 0.0, 0.0, 1.0, False
     at_x, at_y = x + slope_x * over / square, y + slope_y * over / square
     upright = 1.0 / math.sqrt(square)
     if at_x > 0.0 and at_y > 0.0 and at_x + at_y < side:
         return over * upright, -slope_x * upright, -slope_y * upright, upright, True
-    # The nearest point of the border: from each corner in turn along the side to the next.
+    # The nearest point of the border, edge by edge.
     least, dx, dy, dz = np.inf, 0.0, 0.0, 1.0
     from_x, from_y, from_z = 0.0, 0.0, first
     for corner in range(3):
@@ -147,15 +150,19 @@ def _triangle(
         elif corner == 1:
             to_y, to_z = side, third
         along_x, along_y, along_z = to_x - from_x, to_y - from_y, to_z - from_z
-        share = (x - from_x) * along_x + (y - from_y) * along_y + (z - from_z) * along_z
-        share = _clip(share / (along_x * along_x + along_y * along_y + along_z * along_z))
-        off_x, off_y, off_z = x - from_x - share * along_x, y - from_y - share * along_y, z - from_z - share * along_z
+        fraction = (x - from_x) * along_x + (y - from_y) * along_y + (z - from_z) * along_z
+        fraction = _clip(fraction / (along_x * along_x + along_y * along_y + along_z * along_z))
+        off_x, off_y, off_z = (
+            x - from_x - fraction * along_x,
+            y - from_y - fraction * along_y,
+            z - from_z - fraction * along_z,
+        )
         distance = off_x * off_x + off_y * off_y + off_z * off_z
         if distance < least:
             least, dx, dy, dz = distance, off_x, off_y, off_z
         from_x, from_y, from_z = to_x, to_y, to_z
     least = math.sqrt(least)
-    if least < _EDGE:
+    if least < _MIN_EDGE_HEIGHT:
         return 0.0, -slope_x * upright, -slope_y * upright, upright, True
     return least, dx / least, dy / least, dz / least, False
 
@@ -164,18 +171,18 @@ def _triangle(
 def _half_contact(
     cell: Array, low: bool, x: float, y: float, z: float, side: float, bound: float
 ) -> tuple[float, float, float, float, bool]:
-    """Return what `_triangle` does for one of the triangles of a cell.
+    """Return the result of `_triangle` for one of the two triangles of a cell.
 
     Args:
-        cell: heights of the corners (2, 2).
-        low: the triangle at low x and y, or the other one.
-        x: of the point from the cell's corner at low x and y [m].
-        y: as x.
-        z: as in `_triangle`.
-        side: of the cell [m].
-        bound: as in `_triangle`.
+        cell: heights of the corners (2, 2) [m].
+        low: whether to use the triangle at low x and y, or the other one.
+        x: coordinate of the point, relative to the corner at low x and y [m].
+        y: coordinate of the point, relative to the corner at low x and y [m].
+        z: coordinate of the point [m].
+        side: side length of the cell [m].
+        bound: see `_triangle`.
     """
-    # In a frame with its origin below the triangle's right angle, and the other corners over the axes.
+    # In a frame with its origin at the right angle and the other corners along the axes.
     if low:
         return _triangle(cell[0, 0], cell[1, 0], cell[0, 1], x, y, z, side, bound)
     distance, dx, dy, dz, within = _triangle(cell[1, 1], cell[0, 1], cell[1, 0], side - x, side - y, z, side, bound)
@@ -184,7 +191,7 @@ def _half_contact(
 
 @_function
 def _deeper(contact: Contact, depth: float, x: float, y: float, z: float) -> Contact:
-    """Return the deeper one of a contact and another one."""
+    """Return the deeper of two contacts."""
     return (depth, x, y, z) if depth > contact[0] else contact
 
 
@@ -192,15 +199,15 @@ def _deeper(contact: Contact, depth: float, x: float, y: float, z: float) -> Con
 def sphere_contacts(
     corners: Array, grid: Array, x: float, y: float, z: float, radius: float
 ) -> tuple[Contact, Contact]:
-    """Return the deepest contact of a sphere that can carry it, and the deepest one at a wall; see `Contact`.
+    """Return the deepest supporting contact and the deepest wall contact of a sphere; see `Contact`.
 
     Args:
-        corners: those of the `Ground`, (X, Y, 2, 2); none of the plane z = 0.
-        grid: that of the `Ground`.
-        x: centre of the sphere in the world [m].
-        y: as x.
-        z: as x.
-        radius: [m].
+        corners: corners of the `Ground` (X, Y, 2, 2), empty for the plane z = 0.
+        grid: grid of the `Ground`.
+        x: coordinate of the centre in the world [m].
+        y: coordinate of the centre in the world [m].
+        z: coordinate of the centre in the world [m].
+        radius: radius of the sphere [m].
     """
     if corners.shape[0] == 0:
         return (radius - z, 0.0, 0.0, 1.0), NO_CONTACT
@@ -215,23 +222,23 @@ def sphere_contacts(
     carrying, wall = NO_CONTACT, NO_CONTACT
     least, nx, ny, nz = np.inf, 0.0, 0.0, 1.0
     if not buried:
-        # Most often the deepest: what is no nearer is left out soon.
+        # Start with the triangle below the centre, usually the deepest contact, so that others are skipped early.
         distance, ex, ey, ez, within = _half_contact(
             corners[i, j], u - i + v - j <= 1.0, (u - i) * side, (v - j) * side, z, side, radius
         )
-        if within and ez >= STEEP:
+        if within and ez >= WALL_NORMAL_Z:
             carrying = _deeper(carrying, radius - distance, ex, ey, ez)
     for other_i in range(max(math.floor(u - reach), 0), min(math.floor(u + reach), last_i) + 1):
         for other_j in range(max(math.floor(v - reach), 0), min(math.floor(v + reach), last_j) + 1):
             other = corners[other_i, other_j]
             if not buried and z - radius >= max(max(other[0, 0], other[0, 1]), max(other[1, 0], other[1, 1])):
                 continue
-            # The cell's place that is nearest from above.
+            # The nearest point of the cell in plan view.
             at_u, at_v = min(max(u, other_i), other_i + 1.0), min(max(v, other_j), other_j + 1.0)
             du, dv = u - at_u, v - at_v
             level = math.sqrt(du * du + dv * dv)
             if level == 0.0:
-                # On the cell, or exactly at its border, where a wall faces away from its middle.
+                # The centre is over the cell, or exactly at its border, where a wall faces away from the cell's middle.
                 du, dv = u - other_i - 0.5, v - other_j - 0.5
                 du, dv = (du, 0.0) if abs(du) > abs(dv) else (0.0, dv)
             if level >= reach:
@@ -240,18 +247,18 @@ def sphere_contacts(
             if z < edge and (other_i != i or other_j != j):
                 length = math.hypot(du, dv)
                 du, dv = du / length, dv / length
-                beside = _height(corners, at_u, at_v, _STEP * du, _STEP * dv, 0.0)
-                if edge > beside + _EDGE and (buried or beside <= z):
-                    # Where the centre is below the ground, the nearest part of the wall that stands free is above it.
+                beside = _height(corners, at_u, at_v, _PROBE_STEP * du, _PROBE_STEP * dv, 0.0)
+                if edge > beside + _MIN_EDGE_HEIGHT and (buried or beside <= z):
+                    # If the centre is below the neighbouring ground, the nearest free part of the wall is above it.
                     depth = radius - math.hypot(level * side, min(z - beside, 0.0))
                     wall = _deeper(wall, depth, du, dv, 0.0)
                 if not buried:
                     continue
             elif buried and level > 0.0 and edge < z and level * side < least:
-                # The way out through a wall to a lower cell.
+                # Exit through a wall to a lower cell.
                 least, nx, ny, nz = level * side, -du / level, -dv / level, 0.0
             for half in range(2):
-                best = np.inf if buried else (radius - max(carrying[0], 0.0)) * (1.0 - _EDGE)
+                best = np.inf if buried else (radius - max(carrying[0], 0.0)) * (1.0 - _MIN_EDGE_HEIGHT)
                 distance, ex, ey, ez, within = _half_contact(
                     other, half == 0, (u - other_i) * side, (v - other_j) * side, z, side, best
                 )
@@ -262,13 +269,13 @@ def sphere_contacts(
                         least, nx, ny, nz = distance, -ex, -ey, -ez
                 elif distance < radius:
                     place_u, place_v = u - distance * ex / side, v - distance * ey / side
-                    if within or _is_nearest(corners, place_u, place_v, z - distance * ez, (ex, ey, ez), side):
-                        if ez >= STEEP:
+                    if within or _is_closest_surface(corners, place_u, place_v, z - distance * ez, (ex, ey, ez), side):
+                        if ez >= WALL_NORMAL_Z:
                             carrying = _deeper(carrying, radius - distance, ex, ey, ez)
                         else:
                             wall = _deeper(wall, radius - distance, ex, ey, ez)
     if buried:
-        if nz < STEEP:
+        if nz < WALL_NORMAL_Z:
             return NO_CONTACT, (radius + least, nx, ny, nz)
         carrying = (radius + least, nx, ny, nz)
     return carrying, wall
@@ -276,13 +283,13 @@ def sphere_contacts(
 
 @_function
 def friction_factor(friction: Array, grid: Array, x: float, y: float) -> float:
-    """Return the factor on the coefficient of friction at a place [m].
+    """Return the factor on the friction coefficient at a point.
 
     Args:
-        friction: that of the `Ground`, (P, Q).
-        grid: its `patch_grid`.
-        x: of the place in the world [m].
-        y: as x.
+        friction: factors of the `Ground` (P, Q).
+        grid: `patch_grid` of the `Ground`.
+        x: coordinate of the point in the world [m].
+        y: coordinate of the point in the world [m].
     """
     if friction.shape[0] == 0:
         return 1.0
@@ -291,20 +298,20 @@ def friction_factor(friction: Array, grid: Array, x: float, y: float) -> float:
 
 
 @_function
-def _highest(points: Array, grid: Array, x: float, y: float, wide: float, deep: float) -> float:
-    """Return the greatest height [m] of a continuous ground in a rectangle, or of points just beside it.
+def _max_height(points: Array, grid: Array, x: float, y: float, wide: float, deep: float) -> float:
+    """Return the maximum height [m] of the points in a rectangle of a continuous ground, and next to it.
 
     Args:
-        points: heights at points (X, Y), a cell apart [m].
-        grid: that of the `Ground`.
-        x: middle of the rectangle [m].
-        y: as x.
-        wide: half of its side along x [m].
-        deep: half of its side along y [m].
+        points: heights at grid points (X, Y), one cell apart [m].
+        grid: grid of the `Ground`.
+        x: centre of the rectangle [m].
+        y: centre of the rectangle [m].
+        wide: half its side along x [m].
+        deep: half its side along y [m].
     """
     side, last_i, last_j = grid[2], points.shape[0] - 1, points.shape[1] - 1
     x, y, top = x - grid[0], y - grid[1], -np.inf
-    # Beyond the field its border goes on.
+    # Heights of the border continue beyond the field.
     first_j = min(max(math.floor((y - deep) / side), 0), last_j)
     end_j = min(max(math.ceil((y + deep) / side), 0), last_j) + 1
     for i in range(
@@ -317,17 +324,17 @@ def _highest(points: Array, grid: Array, x: float, y: float, wide: float, deep: 
 
 @_function
 def _cell_distance(points: Array, i: int, j: int, u: float, v: float, z: float, side: float, bound: float) -> float:
-    """Return the distance of a point over the ground from a cell, or the bound, whichever is less.
+    """Return the distance of a point above the ground from a cell, at most `bound`.
 
     Args:
-        points: as in `_highest`.
-        i: number of the cell along x.
-        j: number of the cell along y.
-        u: of the point along x [cells].
-        v: of the point along y [cells].
+        points: heights at grid points, see `_max_height`.
+        i: index of the cell along x.
+        j: index of the cell along y.
+        u: coordinate of the point along x [cells].
+        v: coordinate of the point along y [cells].
         z: height of the point [m].
-        side: of the cell [m].
-        bound: see above [m].
+        side: side length of the cell [m].
+        bound: upper bound of the result [m].
     """
     first, second = float(points[i, j]), float(points[i + 1, j])
     third, fourth = float(points[i, j + 1]), float(points[i + 1, j + 1])
@@ -345,18 +352,18 @@ def _cell_distance(points: Array, i: int, j: int, u: float, v: float, z: float, 
 
 @_function
 def point_clearance(points: Array, grid: Array, x: float, y: float, z: float, bound: float) -> float:
-    """Return the distance [m] of a point from the ground, 0 below its surface, or the bound, whichever is less.
+    """Return the distance [m] of a point from the ground, 0 below its surface, at most `bound`.
 
     Args:
-        points: as in `_highest`.
-        grid: as in `_highest`.
-        x: of the point in the world [m].
-        y: as x.
-        z: as x.
-        bound: see above [m].
+        points: heights at grid points, see `_max_height`.
+        grid: grid of the `Ground`.
+        x: coordinate of the point in the world [m].
+        y: coordinate of the point in the world [m].
+        z: coordinate of the point in the world [m].
+        bound: upper bound of the result [m].
     """
     side, last_i, last_j = grid[2], points.shape[0] - 2, points.shape[1] - 2
-    # Beyond the field its border goes on.
+    # Heights of the border continue beyond the field.
     u, v = min(max((x - grid[0]) / side, 0.0), last_i + 1.0), min(max((y - grid[1]) / side, 0.0), last_j + 1.0)
     i, j = min(max(math.floor(u), 0), last_i), min(max(math.floor(v), 0), last_j)
     first, second = float(points[i, j]), float(points[i + 1, j])
@@ -389,21 +396,22 @@ def shape_clearance(
     need: float,
     bound: float,
 ) -> float:
-    """Return how far [m] a rod or a box is from a continuous ground at least, or 0 if that may be no more than needed.
+    """Return a lower bound of the distance [m] between a rod or box and a continuous ground.
 
-    It is as far as the bound at most.
+    The result is at most `bound`, and 0 if the distance may be less than `need`. The shape is divided along its axis
+    into parts with bounding boxes and bounding spheres.
 
     Args:
-        points: as in `_highest`; none of the plane z = 0.
-        grid: as in `_highest`.
-        middle: of the shape [m].
-        reach: half of the sides of a box along the world's axes around each part of the shape [m].
-        offset: from the middle of each part along the shape to that of the next one [m].
-        count: of the parts.
-        radius: of the rod; of a box, half of the diagonal across it [m].
-        is_box: whether it is a box.
-        need: see above [m].
-        bound: see above [m].
+        points: heights at grid points, see `_max_height`; empty for the plane z = 0.
+        grid: grid of the `Ground`.
+        middle: centre of the shape [m].
+        reach: half sides of the axis-aligned bounding box of each part [m].
+        offset: vector from the centre of each part to the centre of the next [m].
+        count: number of parts.
+        radius: radius of the rod, or half the diagonal across a box [m].
+        is_box: whether the shape is a box.
+        need: required distance [m].
+        bound: upper bound of the result [m].
     """
     spread = 0.5 * (count - 1)
     dx, dy, dz = offset
@@ -413,27 +421,27 @@ def shape_clearance(
     if points.shape[0] == 0:
         return min(lowest, bound)
     wide, deep = reach[0] + spread * abs(dx) + bound, reach[1] + spread * abs(dy) + bound
-    top = _highest(points, grid, middle[0], middle[1], wide, deep)
+    top = _max_height(points, grid, middle[0], middle[1], wide, deep)
     if lowest - top >= bound:
         return bound
     least, square = bound, 0.25 * (dx * dx + dy * dy + dz * dz)
-    cover, fine = math.sqrt(radius * radius + square), math.sqrt(radius * radius + square / PARTS**2)
-    # From the lowest part on.
+    cover, fine = math.sqrt(radius * radius + square), math.sqrt(radius * radius + square / SUBSPHERES**2)
+    # From the lowest part up.
     for k in range(count):
-        share = k - spread
-        x, y, z = middle[0] + share * dx, middle[1] + share * dy, middle[2] + share * dz
+        index = k - spread
+        x, y, z = middle[0] + index * dx, middle[1] + index * dy, middle[2] + index * dz
         if z - reach[2] - top >= least:
             break
         far = -np.inf
         if is_box:
-            far = min(least, z - reach[2] - _highest(points, grid, x, y, reach[0] + least, reach[1] + least))
+            far = min(least, z - reach[2] - _max_height(points, grid, x, y, reach[0] + least, reach[1] + least))
         if not far > need:
             far = point_clearance(points, grid, x, y, z, least + cover) - cover
         if not is_box and not far > need:
-            # Smaller spheres around the parts of this one.
+            # Refine the bounding sphere of this part by smaller spheres.
             far = least
-            for n in range(PARTS):
-                part = (n + 0.5) / PARTS - 0.5
+            for n in range(SUBSPHERES):
+                part = (n + 0.5) / SUBSPHERES - 0.5
                 at_x, at_y, at_z = x + part * dx, y + part * dy, z + part * dz
                 far = min(far, point_clearance(points, grid, at_x, at_y, at_z, far + fine) - fine)
                 if not far > need:

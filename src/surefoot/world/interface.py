@@ -1,7 +1,7 @@
-"""The interface that simulation and robot share, and its data.
+"""Interface of simulations and robots ("worlds"), and its data.
 
-A world takes motor angles, holds them for a control step, and returns readings. A robot is a batch of one. Only
-a simulation also answers `truth()`.
+A world receives motor angles, holds them for one control step, and returns sensor readings. A robot is a batch of one.
+Only simulations also provide the true state.
 """
 
 from __future__ import annotations
@@ -23,50 +23,50 @@ ACTUATORS = ("dc", "constraint")
 
 @dataclass(frozen=True)
 class SensorReadings:
-    """What the control computer receives of N robots with M motors: delayed, biased and noisy."""
+    """Sensor readings at the control computer, for N robots with M motors: delayed, biased and noisy."""
 
     time: Array
-    """Time since reset on each robot's clock [s], (N,)."""
+    """Time since the reset on each robot's clock (N,) [s]."""
     roll_pitch_yaw: Array
-    """Orientation of the base in the world [rad], (N, 3): yaw about z, pitch about y, then roll about x."""
+    """Orientation of the base in the world (N, 3) [rad]: yaw about z, pitch about y, then roll about x."""
     angular_velocity_base: Array
-    """Angular velocity of the base, in the base frame [rad/s], (N, 3)."""
+    """Angular velocity of the base in the base frame (N, 3) [rad/s]."""
     motor_angle: Array
-    """Motor angles theta in the robot's motor order [rad], (N, M)."""
+    """Motor angles theta in the robot's motor order (N, M) [rad]."""
     motor_velocity: Array
-    """Motor speeds [rad/s], (N, M)."""
+    """Motor speeds (N, M) [rad/s]."""
 
 
 @dataclass(frozen=True)
 class SimState:
-    """The present true state, which only a simulation knows."""
+    """Current true state of a simulation, for N robots with M motors and L legs."""
 
     base_position_world: Array
-    """Origin of the base link [m], (N, 3)."""
+    """Position of the base link's origin in the world frame (N, 3) [m]."""
     base_quat_world: Array
-    """Orientation of the base, (N, 4), w x y z."""
+    """Orientation of the base (N, 4), w x y z."""
     base_velocity_world: Array
-    """Velocity of the base link's origin, in the world frame [m/s], (N, 3)."""
+    """Velocity of the base link's origin in the world frame (N, 3) [m/s]."""
     roll_pitch_yaw: Array
-    """True orientation [rad], (N, 3)."""
+    """True orientation of the base (N, 3) [rad]."""
     motor_angle: Array
-    """True motor angles [rad], (N, M)."""
+    """True motor angles (N, M) [rad]."""
     motor_velocity: Array
-    """True motor speeds [rad/s], (N, M)."""
+    """True motor speeds (N, M) [rad/s]."""
     motor_torque: Array
-    """Torque of each motor in the last servo step, friction not counted [N m], (N, M)."""
+    """Torque of each motor in the last servo step, without friction (N, M) [N m]."""
     energy: Array
-    """Integral of |tau . qdot| over the last control step, at servo rate [J], (N,)."""
+    """Integral of |tau . qdot| over the last control step, at servo rate (N,) [J]."""
     heat: Array
-    """Heat of each motor over the last control step, at servo rate [J], (N, M): R I^2 of DC motors; of joint actuators,
-    which are known by their limits, `HEAT_LOSS` says of what; 0 for constraint motors, which have no current."""
+    """Heat of each motor over the last control step, at servo rate (N, M) [J]: R I^2 for DC motors, an estimate from
+    the actuator's limits for joint actuators (see `HEAT_LOSS`), and 0 for constraint motors, which have no current."""
     foot_contact: Array
-    """Fraction of the last control step's servo steps in which each foot touched the ground, (N, L)."""
+    """Fraction of the last control step's servo steps in which each foot touched the ground (N, L)."""
     motor_saturation: Array
-    """Fraction of these servo steps in which each motor was at its limit, (N, M): DC motors at full duty, joint
-    actuators at the torque that there is at their speed."""
+    """Fraction of these servo steps in which each motor was at its limit (N, M): DC motors at full duty, joint
+    actuators at the maximum torque at their speed."""
     diverged: NDArray[np.bool_]
-    """Robots whose state stopped being finite in the last control step; they wait for a reset, (N,)."""
+    """Whether each robot's simulation diverged in the last control step, so that it waits for a reset (N,)."""
 
 
 @dataclass(frozen=True)
@@ -74,44 +74,44 @@ class WorldConfig:
     """Configuration of a simulated world."""
 
     rest: tuple[float | tuple[float, ...], ...] | None = None
-    """Pose of the legs in leg space in which robots settle before an episode, each coordinate of all legs or of each;
-    the description's, if not given."""
+    """Pose of the legs in leg space in which robots settle before an episode: for each coordinate one value, or one per
+    leg. Defaults to the resting pose of the robot's description."""
     actuator: Literal["dc", "constraint"] = "dc"
-    """dc: servo and DC motor; constraint: the position motor of physics engines, without a servo or a motor model."""
+    """dc: servo and motor model; constraint: the position motor of physics engines, without servo and motor model."""
     rack: bool = False
-    """Hold the base still in the air, level and out of reach of the ground."""
+    """Fix the base in the air, level and out of reach of the ground."""
     thermal_protection: bool = False
     """Switch off motors that stay over their thermal torque limit, until the next reset."""
     start_linear_speed: float = 0.0
-    """A reset gives the base a random velocity, each component up to this [m/s]."""
+    """Maximum of each component of the base's random velocity after a reset [m/s]."""
     start_angular_speed: float = 0.0
-    """A reset gives the base a random angular velocity, each component up to this [rad/s]."""
+    """Maximum of each component of the base's random angular velocity after a reset [rad/s]."""
     ground: Ground = FLAT
-    """What robots stand on."""
+    """Ground."""
     threads: int = 0
-    """Threads, or processes, to step on; 0 means one a core."""
+    """Number of threads or processes; 0 means one per core."""
 
     def __post_init__(self) -> None:
-        """Refuse contradictions and values out of bounds."""
+        """Reject contradictions and values out of bounds."""
         if self.actuator not in ACTUATORS:
             raise SurefootError(f"actuator is '{self.actuator}'; {suggest(self.actuator, ACTUATORS)}")
         if self.threads < 0:
-            raise SurefootError(f"threads is {self.threads}; it must be 0 (one a core) or more")
+            raise SurefootError(f"threads is {self.threads}; it must be 0 (one per core) or more")
         if self.actuator == "constraint" and self.thermal_protection:
             raise SurefootError("thermal_protection is on; it requires actuator dc")
 
 
 class World(Protocol):
-    """A robot, or a batch of simulated ones."""
+    """A robot, or a batch of simulated robots."""
 
     robot: RobotDescription
     num_envs: int
 
     def reset(self, index: ArrayLike | None = None) -> SensorReadings:
-        """Bring the robots at `index` (all, if none is given) to the resting pose; return readings of all robots."""
+        """Reset the robots at `index` (default: all) to the resting pose; return the readings of all robots."""
 
     def step(self, target: ArrayLike) -> SensorReadings:
-        """Send motor angles (N, M) [rad] and hold them for one control step; return readings at its end."""
+        """Command motor angles (N, M) [rad] for one control step; return the readings at its end."""
 
 
 class Simulation(World, Protocol):
@@ -119,38 +119,38 @@ class Simulation(World, Protocol):
 
     params: PhysicalParams
     divergences: int
-    """How often a robot's state stopped being finite, since the world was made."""
+    """Number of divergences of robots since the world was made."""
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> SensorReadings:
-        """Step as a world does; robots that are not `active` (N,) are not stepped."""
+        """Step like `World.step`, but only robots that are `active` (N,), by default all."""
 
     def readings(self) -> SensorReadings:
-        """Return the present readings again."""
+        """Return the current readings again."""
 
     def truth(self) -> SimState:
-        """Return the true state; the arrays belong to the caller."""
+        """Return the true state, in arrays that the caller may modify."""
 
     def foot_positions(self) -> Array:
-        """Return the centres of the rounded feet in the world frame [m], (N, L, 3)."""
+        """Return the centres of the spherical feet in the world frame (N, L, 3) [m]."""
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
-        """Give the robots at `index` other physical parameters, one row each."""
+        """Set the physical parameters of the robots at `index`, one row per robot."""
 
     def place(self, index: ArrayLike, starts: Array, headings: Array) -> None:
-        """Let robots rest at places (n, 2) [m] of the ground, with headings (n,) [rad], from their next reset on.
+        """Set the positions (n, 2) [m] and headings (n,) [rad] at which robots start after their next reset.
 
-        Without this they rest at (0, 0), and head along x.
+        By default, robots start at (0, 0) with their heading along x.
         """
 
     def push(self, force_world: ArrayLike) -> None:
-        """Set the force (N, 3) [N] that acts at the base's centre of mass from now on, in the world frame."""
+        """Set the force (N, 3) [N] on each base's centre of mass in the world frame, until the next call."""
 
     def get_state(self) -> dict[str, Any]:
-        """Return the whole state of the world."""
+        """Return the complete state of the world."""
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Continue from `get_state`, exactly."""
+        """Restore a state from `get_state`, to continue exactly from there."""
 
 
 SimulationFactory = Callable[[RobotDescription, int, PhysicalParams, int, WorldConfig], Simulation]
-"""Makes a simulation of a robot: number of robots, their parameters, seed, configuration."""
+"""Factory of simulations: robot, number of robots, their parameters, seed, configuration."""

@@ -1,4 +1,4 @@
-"""What a motion asks of motors, and what they have."""
+"""Motor loads of a simulated motion, and the torque that motors can deliver."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ _UNLIMITED = 1e6
 
 @dataclass(frozen=True)
 class MotorLoad:
-    """Motors over T control steps of a simulated robot with M motors."""
+    """Motor load of a simulated robot with M motors over T control steps."""
 
     torque: Array
-    """At the end of each control step (T, M) [N m]."""
+    """Torque at the end of each control step (T, M) [N m]."""
     speed: Array
-    """At the end of each control step (T, M) [rad/s]."""
+    """Speed at the end of each control step (T, M) [rad/s]."""
     saturation: Array
-    """Share of each control step at the limit (T, M)."""
+    """Fraction of each control step at the motor's limit (T, M)."""
     end: SimState
-    """The state at the end."""
+    """State at the end."""
     finished: bool
-    """Whether the motion ran to its end: the robot neither tilted too far nor diverged."""
+    """Whether the motion was completed: the robot neither tilted too far nor diverged."""
 
 
 def measure_load(
     robot: RobotDescription, target: Callable[[float], Array], duration: float, config: WorldConfig, max_tilt: float
 ) -> MotorLoad:
-    """Simulate a robot until `duration` [s], or until it tilts by more than `max_tilt` [rad] or diverges.
+    """Simulate a robot, and stop when it tilts too far or diverges.
 
     Args:
-        robot: what is simulated.
-        target: gives the motor angles (M,) or (1, M) [rad] to command at a time [s].
-        duration: how long.
-        config: of the simulated world.
-        max_tilt: greatest roll or pitch.
+        robot: the robot.
+        target: function that returns the commanded motor angles (M,) or (1, M) [rad] at a time [s].
+        duration: duration of the simulation [s].
+        config: configuration of the simulated world.
+        max_tilt: maximum roll or pitch [rad].
 
     Raises:
         SurefootError: a robot that does not settle.
@@ -63,8 +63,8 @@ def measure_load(
     return MotorLoad(torque, speed, saturation, truth, finished)
 
 
-def unlimited(robot: RobotDescription) -> RobotDescription:
-    """Return a robot whose joint actuators have any torque at any speed; DC motors stay as they are."""
+def without_torque_limits(robot: RobotDescription) -> RobotDescription:
+    """Return the robot with unlimited torque and speed of joint actuators; DC motors are not changed."""
     if not isinstance(robot.actuator, JointActuatorData):
         return robot
     limits = {"torque_limit": _UNLIMITED, "full_torque_speed": _UNLIMITED, "speed_limit": 2 * _UNLIMITED}
@@ -72,7 +72,7 @@ def unlimited(robot: RobotDescription) -> RobotDescription:
 
 
 def available_torque(robot: RobotDescription, motor: int, speed: float = 0.0) -> float:
-    """Return the torque [N m] with which a motor can drive at a speed [rad/s]."""
+    """Return the maximum driving torque of a motor [N m] at a speed [rad/s]."""
     data = robot.actuator
     if isinstance(data, DcMotorData):
         current = motor_current(1.0, abs(speed), data.voltage, data.torque_constant, data.resistance, data.voltage_clip)
@@ -85,17 +85,17 @@ def available_torque(robot: RobotDescription, motor: int, speed: float = 0.0) ->
 
 
 def continuous_torque(robot: RobotDescription, motor: int) -> float:
-    """Return the torque [N m] that a motor can give for long; infinite, if the sheet does not say."""
+    """Return the continuous torque of a motor [N m]; infinite if the data sheet has none."""
     torque = float(np.broadcast_to(robot.actuator.overheat_torque, robot.num_motors)[motor])
     return torque if torque < _UNLIMITED else math.inf
 
 
 def describe_torque(robot: RobotDescription, motor: int, speed: float = 0.0) -> str:
-    """Return in words the torque that a motor has at rest, at a speed [rad/s], and for long."""
-    rest, moving, long = (
+    """Describe the torque of a motor at rest, at a speed [rad/s], and continuously."""
+    rest, moving, continuous = (
         available_torque(robot, motor),
         available_torque(robot, motor, speed),
         continuous_torque(robot, motor),
     )
     at_speed = f", {moving:.3g} at {abs(speed):.2g} rad/s" if moving < 0.995 * rest else ""
-    return f"{rest:.3g} N m are there{at_speed}{f', {long:.3g} for long' if long < rest else ''}"
+    return f"has {rest:.3g} N m{at_speed}{f', {continuous:.3g} continuously' if continuous < rest else ''}"

@@ -1,8 +1,8 @@
-"""A batch of robots in MuJoCo, stepped by compiled loops on all cores.
+"""MuJoCo engine: a batch of robots, stepped by compiled loops on all cores.
 
-Each robot owns its MuJoCo data, so that a robot's motion does not depend on other robots: alone or in a batch it is the
-same to the last bit. Models are owned by threads: before a thread steps a robot, it writes that robot's masses and
-inertias into its model, which so stays in the processor's cache for any masses.
+Each robot has its own MuJoCo data, so that its motion is identical to the bit in batches of any size. Each thread has
+its own MuJoCo model, which stays in the processor's cache: before it steps a robot, it writes the robot's masses and
+inertias into the model.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.robot import GRAVITY, PhysicalParams, RobotDescription
 from surefoot.rotations import matrix_quat, quat_matrix, rpy_matrix
-from surefoot.world.actuation import RATIOS, ActuationState, bases_on_rack
+from surefoot.world.actuation import MASS_RATIOS, ActuationState, bases_on_rack
 from surefoot.world.interface import WorldConfig
 from surefoot.world.mujoco_loop import DATA_FIELDS, Native, advance, gather_base, observe
 from surefoot.world.mujoco_model import body_heights, build_model, foot_geoms, resting_qpos
@@ -31,29 +31,35 @@ Index = NDArray[np.int64]
 
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 MIN_ROBOTS_PER_THREAD = 8
-"""A thread with fewer robots does not pay for its start."""
+"""Minimum number of robots per thread, below which starting a thread takes more time than it saves."""
 MASS_FIELDS = (
     *("body_mass", "body_inertia", "body_subtreemass", "body_invweight0", "dof_M0", "dof_invweight0"),
     *("dof_armature", "body_ipos"),
 )
-"""Arrays of a MuJoCo model that depend on masses and inertias, `mj_setConst`'s results included."""
+"""Arrays of a MuJoCo model that depend on masses and inertias, including results of `mj_setConst`."""
 
 
 def _masses(model: mujoco.MjModel) -> Array:
-    """Return from a model the numbers that `_load_masses` writes."""
+    """Return the concatenated `MASS_FIELDS` of a model, as `_load_masses` writes them."""
     return np.concatenate([getattr(model, field).ravel() for field in MASS_FIELDS])
 
 
 class MujocoEngine:
-    """MuJoCo as an `Engine`; it steps robots on `config.threads` threads."""
+    """MuJoCo as an `Engine`, with `config.threads` threads.
+
+    Args:
+        robot: the robot.
+        actuation: shared state of servos, motors and sensors.
+        config: configuration of the world.
+    """
 
     gravity = GRAVITY
 
     def __init__(self, robot: RobotDescription, actuation: ActuationState, config: WorldConfig) -> None:
         self.robot, self.actuation = robot, actuation
-        # The Python package times MuJoCo's stages with a clock call each, some 3 % of a step; the times are not used.
+        # Turn off the timers of MuJoCo's stages, which take some 3 % of a step and are not used.
         mujoco.set_mjcb_time(None)
-        # The engine reports robots that diverge; MuJoCo would write a file too, and gets a C function without effect.
+        # The engine reports divergence itself. A C function without effect keeps MuJoCo from writing a log file.
         mujoco.set_mju_user_warning(ctypes.CDLL(None).strlen)
         num_envs, self._ground = len(actuation.ticks), config.ground
         self._nominal = self._build(robot, config)
@@ -70,7 +76,7 @@ class MujocoEngine:
         self._native = self._layout()
         self._pool = ThreadPoolExecutor(self.threads - 1) if self.threads > 1 else None
         self.diverged = np.zeros(num_envs, np.bool_)
-        nominal = [np.ones(len(RATIOS)), self._nominal.dof_armature[self._native.motor_dof], np.zeros(3)]
+        nominal = [np.ones(len(MASS_RATIOS)), self._nominal.dof_armature[self._native.motor_dof], np.zeros(3)]
         self._mass_params = np.tile(np.concatenate(nominal), (num_envs, 1))
         self.initial_state = self._resting_state()
 
@@ -127,7 +133,7 @@ class MujocoEngine:
         )
 
     def _shapes(self) -> dict[str, Any]:
-        """Return what the loop needs of the shapes that meet the ground by MuJoCo's contacts."""
+        """Return the fields of `Native` for shapes that touch the ground by MuJoCo's contacts."""
         model, kinds = self._nominal, mujoco.mjtGeom
         shapes = np.flatnonzero(model.geom_conaffinity & 1).astype(np.int64)
         bodies = model.geom_bodyid[shapes].astype(np.int64)
@@ -145,7 +151,7 @@ class MujocoEngine:
                 radius, length, _ = size
                 length += radius if kind == kinds.mjGEOM_CAPSULE else 0.0
                 half = np.array([radius, radius, length])
-            # Spheres around the parts overhang little where the shape is slender.
+            # Divide slender shapes into parts, so that bounding spheres of the parts are tight.
             count = int(np.clip(np.ceil(length / (1.5 * radius)), 1, 8))
             half[axis] /= count
             axes.append(axis)
@@ -170,7 +176,7 @@ class MujocoEngine:
         }
 
     def _motor_rows(self, motor_dof: Index) -> dict[str, Any]:
-        """Return the solver's rows of constraint motors; rows of joint friction follow those of closed loops."""
+        """Return the solver rows of constraint motors; rows of joint friction follow the rows of closed loops."""
         model, data = self._nominal, self._scratch
         friction_dofs = np.flatnonzero(model.dof_frictionloss > 0)
         if not len(friction_dofs):
@@ -191,7 +197,7 @@ class MujocoEngine:
         return np.concatenate([state, stretch.ravel()])
 
     def advance(self, servo_steps: Index) -> None:
-        """Run every robot for its number of servo steps (N,); those that diverge stop and are marked."""
+        """Run each robot for its number of servo steps (N,). Robots that diverge stop and are marked."""
         counter = np.zeros(1, np.int64)
         work = partial(advance, self._native, self.actuation, servo_steps, self.diverged)
         if self._pool is None:
@@ -202,8 +208,7 @@ class MujocoEngine:
             work(0, counter)
             wait(others)
         except BaseException:
-            # An interrupt must not leave a thread behind, not even one that has just started: they use memory that goes
-            # with this engine.
+            # An interrupt must not leave threads running, because they use memory of this engine.
             self._pool.shutdown()
             self._pool = ThreadPoolExecutor(self.threads - 1)
             raise
@@ -211,16 +216,16 @@ class MujocoEngine:
             other.result()
 
     def observe(self, rows: Index) -> None:
-        """Write states to `actuation.sample`."""
+        """Write the current motor and IMU states of robots to `actuation.sample`."""
         for i in rows:
             observe(self._native, self.actuation, i)
 
     def get_state(self, rows: Index) -> Array:
-        """Return the whole states (n, size) in the engine."""
+        """Return the complete states (n, size) in the engine."""
         return np.array([self._read(self.datas[i], self._native.stretch[i]) for i in rows])
 
     def set_state(self, rows: Index, states: Array) -> None:
-        """Put robots into states from `get_state`, or all into one."""
+        """Set robots to states from `get_state` (n, size), or all to one state (size,)."""
         stretch = self._native.stretch
         size = stretch[0].size
         states = np.broadcast_to(states, (len(rows), states.shape[-1]))
@@ -231,15 +236,15 @@ class MujocoEngine:
         self.diverged[rows] = False
 
     def set_motors(self, rows: Index, angles: Array, speeds: Array) -> None:
-        """Put the motors of robots without closed loops to true angles [rad] and speeds [rad/s] (n, M)."""
+        """Set true motor angles [rad] and speeds [rad/s] (n, M) of robots without closed loops."""
         native = self._native
         for i, angle, speed in zip(rows, native.motor_sign * angles, native.motor_sign * speeds, strict=True):
             self.datas[i].qpos[native.motor_qpos] = angle
             self.datas[i].qvel[native.motor_dof] = speed
         native.moved[rows] = True
 
-    def turn(self, rows: Index, angles: Array) -> None:
-        """Turn robots by angles (n,) [rad] about the vertical axis through the world's origin."""
+    def rotate(self, rows: Index, angles: Array) -> None:
+        """Rotate robots by angles (n,) [rad] about the vertical axis through the world's origin."""
         native = self._native
         if native.base_qpos < 0:
             return
@@ -252,14 +257,14 @@ class MujocoEngine:
         native.moved[rows] = True
 
     def move_base(self, rows: Index, offset_world: Array) -> None:
-        """Move bases by offsets (n, 3) [m] in the world."""
+        """Translate bases by offsets (n, 3) [m] in the world frame."""
         if self._native.base_qpos >= 0:
             for i, offset in zip(rows, offset_world, strict=True):
                 self.datas[i].qpos[self._native.base_qpos :][:3] += offset
             self._native.moved[rows] = True
 
     def set_base_velocity(self, rows: Index, linear_world: Array, angular_base: Array) -> None:
-        """Set velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
+        """Set base velocities (n, 3) [m/s] in the world and angular velocities (n, 3) [rad/s] in the base frames."""
         if self._native.base_dof < 0:
             return
         for i, velocity in zip(rows, np.concatenate([linear_world, angular_base], axis=1), strict=True):
@@ -271,25 +276,25 @@ class MujocoEngine:
             data.xfrc_applied[self._base, :3] = force
 
     def set_params(self, rows: Index, params: PhysicalParams) -> None:
-        """Apply masses, inertias and the feet's contact, a row for each robot."""
+        """Apply masses, inertias and foot contact, one row per robot."""
         native = self._native
         native.friction[rows] = params.contact_friction
         native.stiffness[rows] = params.contact_stiffness
         native.shear[rows] = params.contact_stiffness * params.contact_shear_ratio
         native.spinning[rows] = params.contact_spinning_friction
-        ratios = np.stack([getattr(params, name) for name in RATIOS], axis=1)
+        ratios = np.stack([getattr(params, name) for name in MASS_RATIOS], axis=1)
         mass_params = np.concatenate([ratios, params.rotor_inertia, params.base_offset], axis=1)
         for k in np.flatnonzero((self._mass_params[rows] != mass_params).any(axis=1)):
             native.mass[rows[k]] = self._scaled_masses(ratios[k], params.rotor_inertia[k], params.base_offset[k])
         self._mass_params[rows] = mass_params
 
     def _scaled_masses(self, ratios: Array, rotors: Array, offset: Array) -> Array:
-        """Return what `_masses` does for other parameters.
+        """Return the result of `_masses` for other parameters.
 
         Args:
-            ratios: in the order of `RATIOS`.
+            ratios: ratios of masses and inertias, in the order of `MASS_RATIOS`.
             rotors: inertias of rotors (M,) [kg m2].
-            offset: of the base's centre of mass (3,) [m].
+            offset: offset of the base's centre of mass (3,) [m].
         """
         base_mass, leg_mass, base_inertia, leg_inertia = ratios
         nominal, model, base, legs = self._nominal, self._scratch_model, self._base, self._legs
@@ -299,12 +304,12 @@ class MujocoEngine:
         model.body_inertia[legs] = nominal.body_inertia[legs] * leg_inertia
         model.dof_armature[self._native.motor_dof] = rotors
         model.body_ipos[base] = nominal.body_ipos[base] + offset
-        # Quantities that MuJoCo derives from the masses, from a state that belongs to no robot.
+        # Recompute derived quantities with a scratch state, to keep the states of robots.
         mujoco.mj_setConst(model, self._scratch)
         return _masses(model)
 
     def base(self) -> Array:
-        """Return the base position [m], quaternion (w x y z) and velocity [m/s], all in the world frame, (N, 10)."""
+        """Return base position [m], quaternion (w x y z) and velocity [m/s] in the world frame (N, 10)."""
         if self._native.base_qpos < 0:
             return bases_on_rack(len(self.datas))
         rows = np.empty((len(self.datas), 10))
@@ -312,8 +317,8 @@ class MujocoEngine:
         return rows
 
     def foot_positions(self) -> Array:
-        """Return the centres of the feet in the world frame [m], (N, L, 3)."""
-        # MuJoCo's positions are those of the last step's start, or of before a reset.
+        """Return the foot centres in the world frame (N, L, 3) [m]."""
+        # MuJoCo's positions are from the start of the last step, or from before a reset.
         for data in self.datas:
             mujoco.mj_kinematics(self._nominal, data)
         return np.array([data.geom_xpos[self._feet] for data in self.datas])

@@ -1,6 +1,6 @@
-"""The compiled loop that steps robots in MuJoCo: servo, motors, physics, feet on the ground and sensors.
+"""Compiled loop of the MuJoCo engine: servos, motors, physics, foot contacts and sensors of many servo steps.
 
-It calls MuJoCo's C functions and reads its arrays by address, so that no Python runs between two servo steps.
+It calls MuJoCo's C functions and accesses its arrays by address, so that no Python runs between two servo steps.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from surefoot.world.actuation import (
 )
 from surefoot.world.contact import foot_force_kernel, spinning_torque_kernel
 from surefoot.world.ground_contact import friction_factor, shape_clearance, sphere_contacts
-from surefoot.world.native import call_step, doubles, ints, pointers, take_number
+from surefoot.world.native import call_step, doubles, fetch_and_increment, ints, pointers
 
 Index = NDArray[np.int64]
 
-NEAR = 0.002
-"""Distance [m] from the ground at which shapes take part in MuJoCo's search for contacts, beside a step's motion."""
-LOOK = 0.05
-"""Distance [m] to which a shape's way to the ground is looked for."""
+CONTACT_MARGIN = 0.002
+"""Distance [m] from the ground, plus the motion in a step, at which MuJoCo's collision detection includes a shape."""
+MAX_CLEARANCE = 0.05
+"""Upper bound for computed distances of shapes from the ground [m]."""
 
 DATA_FIELDS = (
     *("qpos", "qvel", "qfrc_applied", "xfrc_applied", "geom_xpos", "geom_xmat", "xipos", "cvel", "subtree_com"),
 )
-"""Arrays of MuJoCo's data whose addresses, one a robot, the loop takes."""
+"""Arrays of MuJoCo's data whose addresses the loop needs, one per robot."""
 
 
 class Native(NamedTuple):
-    """Addresses and layout that the compiled loop works on."""
+    """Addresses, layout and parameters for the compiled loop, for N robots with S shapes that may touch the ground."""
 
     step1: int
     step2: int
@@ -61,8 +61,8 @@ class Native(NamedTuple):
     motor_qpos: Index
     motor_dof: Index
     motor_sign: Array
-    motor_row: Index  # of the solver's rows, where motors are constraints
-    aref: int  # places in MuJoCo's data of pointers to arrays of the solver's rows
+    motor_row: Index  # solver rows of constraint motors
+    aref: int  # offsets in MuJoCo's data of pointers to arrays of the solver's rows
     frictionloss: int
     force_row: int
     base_qpos: int
@@ -71,24 +71,24 @@ class Native(NamedTuple):
     foot_geom: Index
     foot_body: Index
     foot_radius: Array
-    ground: Array  # corners of its cells, see `Ground`
+    ground: Array  # corners of the cells, see `Ground`
     ground_grid: Array
-    patches: Array  # factors on friction, see `Ground`
+    patches: Array  # friction factors, see `Ground`
     patch_grid: Array
-    body_points: NDArray[np.float32]  # heights that other shapes meet, see `body_heights`
+    body_points: NDArray[np.float32]  # heights for shapes other than feet, see `body_heights`
     body_grid: Array
-    shape_geom: Index  # shapes that meet the ground by MuJoCo's contacts, in the order of their bodies
+    shape_geom: Index  # shapes that touch the ground by MuJoCo's contacts, ordered by body
     shape_body: Index
-    shape_axis: Index  # along which each is longest
-    shape_count: Index  # of parts along it
+    shape_axis: Index  # longest axis of each shape
+    shape_count: Index  # number of parts along this axis
     shape_is_box: NDArray[np.bool_]
-    shape_part: Array  # distance of these, radius across, and the radius of a sphere around the shape [m]
-    shape_half: Array  # half lengths of a box around each part (S, 3) [m]
-    clearance: Array  # how far each of a robot's shapes can move before it touches the ground (N, S) [m]
+    shape_part: Array  # distance between parts, radius of a part, radius of the shape's bounding sphere (S, 3) [m]
+    shape_half: Array  # half sides of the bounding box of each part (S, 3) [m]
+    clearance: Array  # distance that each shape can move before it touches the ground (N, S) [m]
     geom_conaffinity: Index
     body_conaffinity: Index
-    body_bits: Index  # of a body's other shapes, a row for each shape
-    moved: NDArray[np.bool_]  # robots whose positions in MuJoCo's data are not those of their state
+    body_bits: Index  # affinity bits of a body's other shapes, one row per shape
+    moved: NDArray[np.bool_]  # robots whose derived positions in MuJoCo's data are outdated
     friction: Array
     stiffness: Array
     shear: Array
@@ -102,7 +102,7 @@ class Native(NamedTuple):
 
 @kernel
 def _load_masses(native: Native, worker: int, i: int) -> None:
-    """Give the model of a thread the masses and inertias of robot `i`."""
+    """Write the masses and inertias of robot `i` to the model of a thread."""
     at = 0
     for field in range(len(native.mass_sizes)):
         values = doubles(native.mass_fields[worker, field])
@@ -113,11 +113,11 @@ def _load_masses(native: Native, worker: int, i: int) -> None:
 
 @kernel
 def _select_shapes(native: Native, worker: int, i: int) -> None:
-    """Let those shapes of robot `i` meet the ground that can touch it in this step.
+    """Enable ground collisions only for shapes of robot `i` that can touch the ground in this step.
 
-    MuJoCo's search among the others would find nothing, and takes a third of a step over a plane, more than the rest of
-    the step over a field of heights. Positions and velocities are those of the step before. How far a shape is from the
-    ground is looked up anew when it may have moved as far.
+    For other shapes, MuJoCo's collision detection would find nothing, but take a third of a step over a plane, and more
+    than the rest of the step over a height field. Positions and velocities are from the previous step. The distance of
+    a shape from the ground is computed again only after the shape may have moved by as much.
     """
     xpos, xmat = doubles(native.geom_xpos[i]), doubles(native.geom_xmat[i])
     cvel, com = doubles(native.cvel[i]), doubles(native.subtree_com[i])
@@ -141,8 +141,8 @@ def _select_shapes(native: Native, worker: int, i: int) -> None:
             turning = math.sqrt(wx * wx + wy * wy + wz * wz) * native.shape_part[k, 2]
             motion = native.step * (math.sqrt(vx * vx + vy * vy + vz * vz) + turning)
             native.clearance[i, k] -= motion
-            # Not written with `<`: what is not finite is near.
-            if not native.clearance[i, k] > NEAR + motion:
+            # `not >` instead of `<=`, so that values that are not finite count as near.
+            if not native.clearance[i, k] > CONTACT_MARGIN + motion:
                 row, part, half = 9 * g, native.shape_part[k], native.shape_half[k]
                 axis = row + native.shape_axis[k]
                 reach_x = abs(xmat[row]) * half[0] + abs(xmat[row + 1]) * half[1] + abs(xmat[row + 2]) * half[2]
@@ -157,10 +157,10 @@ def _select_shapes(native: Native, worker: int, i: int) -> None:
                     native.shape_count[k],
                     part[1],
                     native.shape_is_box[k],
-                    NEAR + motion,
-                    LOOK,
+                    CONTACT_MARGIN + motion,
+                    MAX_CLEARANCE,
                 )
-                near = not native.clearance[i, k] > NEAR + motion
+                near = not native.clearance[i, k] > CONTACT_MARGIN + motion
         geoms[g] = 1 if near else 0
         if near:
             bodies[b] |= 1
@@ -169,7 +169,7 @@ def _select_shapes(native: Native, worker: int, i: int) -> None:
 
 @kernel
 def observe(native: Native, state: ActuationState, i: int) -> bool:
-    """Write robot `i`'s state to `state.sample`; return false, and write nothing, if it is not finite."""
+    """Write the state of robot `i` to `state.sample`; return false and write nothing if it is not finite."""
     qpos, qvel = doubles(native.qpos[i]), doubles(native.qvel[i])
     for k in range(native.num_qvel):
         if not abs(qvel[k]) < SPEED_LIMIT:
@@ -193,8 +193,8 @@ def observe(native: Native, state: ActuationState, i: int) -> bool:
 
 
 @kernel
-def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Array, force: Array) -> None:
-    """Apply the ground's forces on robot `i`'s feet, from the positions and velocities that MuJoCo has computed."""
+def _apply_foot_forces(native: Native, state: ActuationState, i: int, velocity: Array, force: Array) -> None:
+    """Apply the ground forces on the feet of robot `i`, from positions and velocities that MuJoCo has computed."""
     xpos, xipos = doubles(native.geom_xpos[i]), doubles(native.xipos[i])
     cvel, com = doubles(native.cvel[i]), doubles(native.subtree_com[i])
     applied = doubles(native.xfrc_applied[i])
@@ -215,7 +215,7 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
                 continue
             # The point of the foot that is deepest in the ground.
             px, py, pz = xpos[g] - radius * nx, xpos[g + 1] - radius * ny, xpos[g + 2] - radius * nz
-            # MuJoCo's cvel is the velocity of the body where the whole robot's centre of mass is.
+            # MuJoCo's cvel is the velocity of the body at the centre of mass of the whole robot.
             x, y, z = px - com[root], py - com[root + 1], pz - com[root + 2]
             velocity[0] = cvel[6 * b + 3] + wy * z - wz * y
             velocity[1] = cvel[6 * b + 4] + wz * x - wx * z
@@ -232,7 +232,7 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
                 state.constants[3],
                 force,
             )
-            # MuJoCo takes a force at the body's centre of mass and a torque.
+            # MuJoCo expects a force at the body's centre of mass and a torque.
             x, y, z = px - xipos[3 * b], py - xipos[3 * b + 1], pz - xipos[3 * b + 2]
             for k in range(3):
                 applied[6 * b + k] += force[k]
@@ -248,11 +248,11 @@ def _feet_on_ground(native: Native, state: ActuationState, i: int, velocity: Arr
 
 
 @kernel
-def _seek_speeds(native: Native, state: ActuationState, i: int) -> None:
-    """Make the friction that MuJoCo has set up for robot `i`'s motor joints accelerate to `state.constraint_speed`.
+def _set_target_speeds(native: Native, state: ActuationState, i: int) -> None:
+    """Set the target speeds of the constraint motors of robot `i` to `state.constraint_speed`.
 
-    Bounded joint friction is a constraint on the joint's acceleration, which for speed 0 at the step's end is
-    -qdot / dt; another acceleration gives another speed.
+    MuJoCo's bounded joint friction is a constraint with the target acceleration -qdot / dt, for speed 0 at the end of
+    the step. Another target acceleration gives another speed.
     """
     aref = doubles(pointers(native.data[i] + native.aref)[0])
     limit = doubles(pointers(native.data[i] + native.frictionloss)[0])
@@ -268,7 +268,7 @@ def _seek_speeds(native: Native, state: ActuationState, i: int) -> None:
 def _run(
     native: Native, state: ActuationState, i: int, servo_steps: int, worker: int, velocity: Array, force: Array
 ) -> bool:
-    """Run robot `i` for some servo steps on the model of thread `worker`; return false if it diverges."""
+    """Run robot `i` for a number of servo steps on the model of thread `worker`; return false if it diverges."""
     state.energy[i] = 0.0
     state.heat[i] = 0.0
     state.contact_ticks[i] = 0.0
@@ -283,9 +283,9 @@ def _run(
             applied[native.motor_dof[m]] = native.motor_sign[m] * torque
         _select_shapes(native, worker, i)
         call_step(native.step1, model, data)
-        _feet_on_ground(native, state, i, velocity, force)
+        _apply_foot_forces(native, state, i, velocity, force)
         if state.constraint[0]:
-            _seek_speeds(native, state, i)
+            _set_target_speeds(native, state, i)
         call_step(native.step2, model, data)
         state.ticks[i] += 1
         if not observe(native, state, i):
@@ -308,13 +308,13 @@ def advance(
     worker: int,
     counter: Index,
 ) -> None:
-    """Run robots for their number of servo steps on a thread's model, until none is left.
+    """Run robots for their numbers of servo steps on one thread, until no robots are left.
 
-    Threads share a counter (1,) of the robots that were taken: whoever is done with a robot takes the next.
+    Threads share a counter (1,) with the number of the next robot, so that free threads take the next robot.
     """
     velocity, force = np.zeros(3), np.zeros(3)
     while True:
-        i = take_number(counter.ctypes.data)
+        i = fetch_and_increment(counter.ctypes.data)
         if i >= len(servo_steps):
             return
         if servo_steps[i] == 0:
@@ -326,7 +326,7 @@ def advance(
 
 @njit(cache=True)
 def gather_base(native: Native, rows: Array) -> None:
-    """Write base position, quaternion and velocity of every robot to `rows` (N, 10)."""
+    """Write position, quaternion and velocity of each robot's base to `rows` (N, 10)."""
     for i in range(len(rows)):
         qpos, qvel = doubles(native.qpos[i]), doubles(native.qvel[i])
         for k in range(7):

@@ -1,4 +1,4 @@
-"""A robot's description as a MuJoCo model: the URDF, closed loops and the ground."""
+"""MuJoCo model of a robot: the URDF, closed loops and the ground."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from surefoot.world.urdf_probe import check_urdf
 LOOP_SOLREF = (0.004, 1.0)
 LOOP_SOLIMP = (0.99, 0.99, 0.001, 0.5, 2.0)
 MOTOR_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Constraint motors are as hard as MuJoCo makes a constraint."""
+"""Impedance of constraint motors: the hardest constraint in MuJoCo."""
 WALL_WIDTH = 0.05
-"""See `_add_ground` [m]."""
+"""Maximum width of walls in height fields [m], see `body_heights`."""
 MOTOR_ITERATIONS = 50
-"""Torque limits that are reached and left take the solver more iterations than closed loops alone."""
+"""Solver iterations with constraint motors: their torque limits need more iterations than only closed loops."""
 
 
 def build_model(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjModel:
-    """Return the model of `build_spec`."""
+    """Return the compiled MuJoCo model of a robot, see `build_spec`."""
     spec = build_spec(robot, config)
     with mujoco_errors(robot.urdf.path):
         return spec.compile()
 
 
 def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mujoco.MjSpec:
-    """Return the robot over the ground, its base free or on a rack.
+    """Return the MuJoCo specification of a robot with a free or fixed (rack) base and the ground.
 
-    Feet meet the ground by the law in `surefoot.world.contact`, so their geoms collide with nothing here; the
-    other collision shapes of the URDF meet the ground by MuJoCo's own contacts, and each other in the
-    pairs of `collision_pairs`.
+    Feet use the contact model of `surefoot.world.contact`, so their geoms have no collisions. The other collision
+    shapes of the URDF collide with the ground by MuJoCo's contacts, and with each other in the pairs of
+    `collision_pairs`.
     """
     check_urdf(robot.urdf.path)
     with mujoco_errors(robot.urdf.path):
@@ -49,7 +49,7 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
     spec.compiler.discardvisual = True
     config = config or WorldConfig()
     base = spec.body(robot.base)
-    # A base that is still would be fused with the ground.
+    # Otherwise, a fixed base would be fused with the ground.
     spec.compiler.fusestatic = not config.rack
     if config.rack:
         base.pos = (0.0, 0.0, RACK_HEIGHT)
@@ -67,7 +67,7 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
             geom.contype, geom.conaffinity, geom.condim = 0, 1, 3
             if body.name in feet:
                 geom.name = f"{feet[body.name]}_foot"
-                # Bit 2 meets nothing; with no bit at all MuJoCo would drop the geom as merely visual.
+                # Bit 2 collides with nothing; without any bit, MuJoCo would drop the geom as a visual.
                 geom.conaffinity = 2
             else:
                 geom.name = f"{body.name}_shape_{number}"
@@ -75,11 +75,11 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
     for name, inertia in zip(robot.motor_names, rotors, strict=True):
         spec.joint(name).armature = inertia
     if config.actuator == "constraint":
-        # MuJoCo's bounded friction of a joint, which `MujocoEngine` gives a target speed that is not zero.
+        # Bounded joint friction, to which `MujocoEngine` gives a target speed.
         option.iterations = MOTOR_ITERATIONS
         for name in robot.motor_names:
             joint = spec.joint(name)
-            # Over 0, so that it is a constraint; the engine sets the limit.
+            # Any value above 0 creates the constraint; the engine sets the limit.
             joint.frictionloss = 1.0
             joint.solimp_friction = MOTOR_SOLIMP
     for loop in robot.loops:
@@ -102,10 +102,10 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
 
 @functools.lru_cache(maxsize=1)
 def body_heights(ground: Ground) -> tuple[Array, float]:
-    """Return heights (X, Y) [m] at points of what the robot's body meets, and the distance [m] of these.
+    """Return the height field (X, Y) [m] with which bodies other than feet collide, and the spacing of its points [m].
 
-    MuJoCo's fields of heights have no steps: a wall is a slope over the distance of two points, at most `WALL_WIDTH`,
-    which begins at the wall, so that no leg meets it before the wall. Feet meet the exact walls.
+    MuJoCo's height fields have no vertical walls. A wall becomes a slope between two points, at most `WALL_WIDTH` wide,
+    which starts at the wall, so that no leg touches it before the wall. Feet use the exact walls.
     """
     if ground.is_flat:
         return np.zeros((0, 0)), ground.cell
@@ -124,13 +124,14 @@ def body_heights(ground: Ground) -> tuple[Array, float]:
 
 
 def _add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
-    """Add what the robot's body meets: a plane, or the field of `body_heights`."""
+    """Add the ground with which bodies other than feet collide: a plane, or the height field of `body_heights`."""
     kind, place, size = mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.0], [0.0, 0.0, 1.0]
     if not ground.is_flat:
         heights, cell = body_heights(ground)
         rows, columns = heights.shape
         low, high = float(heights.min()), float(heights.max())
-        # MuJoCo's diagonals go from low to high x and y; with a quarter turn of its field they are those of the ground.
+        # MuJoCo's diagonals go from low x, y to high x, y. A quarter turn makes them equal to the diagonals of
+        # `Ground`.
         spec.add_hfield(
             name="ground",
             nrow=rows,
@@ -145,7 +146,7 @@ def _add_ground(spec: mujoco.MjSpec, ground: Ground) -> None:
 
 
 def has_steps(ground: Ground) -> bool:
-    """Return whether cells of a ground have walls between them."""
+    """Return whether a ground has walls between cells."""
     corners = ground.corners
     return bool(
         (corners[1:, :, 0] != corners[:-1, :, 1]).any() or (corners[:, 1:, :, 0] != corners[:, :-1, :, 1]).any()
@@ -158,7 +159,10 @@ def foot_geoms(robot: RobotDescription, model: mujoco.MjModel) -> NDArray[np.int
 
 
 def resting_qpos(robot: RobotDescription, model: mujoco.MjModel, ground: Ground = FLAT) -> Array:
-    """Return generalized coordinates of the resting pose, loops closed, lowest foot on the ground (no rack)."""
+    """Return the generalized coordinates of the resting pose, with closed loops and the lowest foot on the ground.
+
+    On a rack, the base stays at its place.
+    """
     qpos = model.qpos0.copy()
     for name, angle in robot.joint_angles(robot.resting_angles).items():
         qpos[model.joint(name).qposadr[0]] = angle

@@ -1,7 +1,7 @@
-"""Calls of MuJoCo's C functions and access to its arrays from compiled loops, without the interpreter.
+"""Access to MuJoCo's C functions and arrays from loops compiled by numba.
 
-A MuJoCo step of a small robot takes some 15 microseconds, less than a handful of Python calls. A loop
-compiled by numba that calls `mj_step` by address holds no interpreter lock, so threads run side by side.
+A MuJoCo step of a small robot takes some 15 microseconds, less than a few Python calls. Compiled loops that call MuJoCo
+by address do not hold the interpreter lock, so that threads run in parallel.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-_LARGEST_STRUCT = 1 << 20
+_MAX_STRUCT_SIZE = 1 << 20
 
 
 def function_address(name: str) -> int:
-    """Return the address of a C function of the MuJoCo library that the `mujoco` package has loaded."""
+    """Return the address of a C function in the MuJoCo library of the `mujoco` package."""
     folder = Path(mujoco.__file__).parent
     patterns = ("libmujoco.so.*", "libmujoco.*.dylib", "mujoco.dll")
     library = next(path for pattern in patterns for path in sorted(folder.glob(pattern)))
@@ -33,7 +33,7 @@ def function_address(name: str) -> int:
 
 @intrinsic
 def call_step(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
-    """Call the C function `void function(model, data)`, all three given as addresses."""
+    """Call the C function `void function(model, data)`; all three arguments are addresses."""
     signature = types.void(types.int64, types.int64, types.int64)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -46,11 +46,15 @@ def call_step(typing_context: Any, function: Any, model: Any, data: Any) -> Any:
 
 
 def struct_offset(struct: int, pointer: int) -> int:
-    """Return the offset [bytes] of a pointer in the C struct at an address; an `OSError`, if it is not there."""
-    for offset in range(0, _LARGEST_STRUCT, 8):
+    """Return the offset [bytes] of a pointer in the C struct at an address.
+
+    Raises:
+        OSError: the struct does not contain the pointer.
+    """
+    for offset in range(0, _MAX_STRUCT_SIZE, 8):
         if ctypes.c_uint64.from_address(struct + offset).value == pointer:
             return offset
-    raise OSError("MuJoCo's data does not hold the array at the expected address")
+    raise OSError("MuJoCo's data does not contain the array's address")
 
 
 def _array_at(element: Any) -> Any:
@@ -67,17 +71,17 @@ def _array_at(element: Any) -> Any:
 
 
 pointers = _array_at(types.int64)
-"""Return the array of C pointers that starts at an address, as integers."""
+"""Return the array of C pointers at an address, as integers, without bounds checks."""
 doubles = _array_at(types.float64)
-"""Return the array of C doubles that starts at an address; its length is not known and not checked."""
+"""Return the array of C doubles at an address, without bounds checks."""
 
 ints = _array_at(types.int32)
-"""Return the array of C ints of 32 bits that starts at an address."""
+"""Return the array of 32-bit C ints at an address, without bounds checks."""
 
 
 @intrinsic
-def take_number(typing_context: Any, address: Any) -> Any:
-    """Take the next number of a counter (int64) at an address that threads share: each gets a different one."""
+def fetch_and_increment(typing_context: Any, address: Any) -> Any:
+    """Atomically increment the counter (int64) at an address, and return its previous value."""
     signature = types.int64(types.int64)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:

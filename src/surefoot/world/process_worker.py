@@ -1,7 +1,8 @@
-"""One process of a `ProcessWorld`, or of one after another: makes its robots and answers requests until they end.
+"""Worker process of a `ProcessWorld`: makes simulated robots and answers requests.
 
-Requests come in on stdin and answers go out on what was stdout, pickled. What anything else prints goes to stderr.
-The process ends when stdin does: when the world is closed, or when the process that owns it has ended, for any reason.
+Pickled requests arrive on stdin, and pickled answers leave on the original stdout. Other output is redirected to
+stderr. The process exits when stdin closes: when its world is closed, or when the owner process has ended for any
+reason.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from surefoot.world.sim_world import SimWorld
 
 
 def _answer(world: SimWorld, method: str, arguments: tuple[Any, ...]) -> Any:
-    """Return the world's answer; after a step or a reset with the truth, which is nearly always requested next."""
+    """Return the world's answer; for steps and resets with the true state, which is almost always requested next."""
     value = getattr(world, method)(*arguments)
     if method in ("step", "reset"):
         return value, world.truth(), world.divergences
@@ -38,22 +39,22 @@ def _serve(requests: BinaryIO, answers: BinaryIO) -> None:
         reply: tuple[bool, Any]
         try:
             if method == "make":
-                world = None  # what the one before held is free then
+                world = None  # frees the memory of the previous world first
                 world, reply = SimWorld(**arguments), (True, None)
             else:
                 assert world is not None
                 reply = True, _answer(world, method, arguments)
         except Exception as error:
             if not isinstance(error, SurefootError):
-                error.add_note(f"in a process of the world:\n{traceback.format_exc()}")
+                error.add_note(f"in a worker process of the world:\n{traceback.format_exc()}")
             reply = False, error
         pickle.dump(reply, answers, protocol=pickle.HIGHEST_PROTOCOL)
         answers.flush()
 
 
 def main() -> NoReturn:
-    """Serve until stdin ends."""
-    # Interrupts are meant for the owner; it closes its pipe when it has done what it does then.
+    """Answer requests until stdin closes."""
+    # Interrupts are handled by the owner, which closes the pipe when it is done.
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     answers, status = os.fdopen(os.dup(1), "wb"), 1
@@ -61,7 +62,7 @@ def main() -> NoReturn:
     with contextlib.suppress(BrokenPipeError):
         _serve(sys.stdin.buffer, answers)
         status = 0
-    # There is nothing to save, and to take down all that is loaded takes a second.
+    # Exit without cleanup, which would take a second: there is nothing to save.
     os._exit(status)
 
 

@@ -1,6 +1,6 @@
-"""The registry of worlds: one entry for each name that `--world` takes, with everything that depends on its engine.
+"""Registry of worlds: one entry per name that `--world` accepts, with everything that depends on its engine.
 
-A further engine is a class that implements `engine.Engine`, an entry here, and an extra of the package in
+To add an engine, write a class that implements `engine.Engine`, and add an entry here and an extra of the package in
 pyproject.toml.
 """
 
@@ -25,24 +25,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WorldEntry:
-    """A simulated world. Functions and classes are named as "module:name" and imported on first use."""
+    """A simulated world. Classes are named as "module:name" and imported on first use."""
 
     engine: str
     """Class of the physics engine, a `world.engine.Engine`."""
     package: str
-    """Package that the engine needs, by the name of its import."""
+    """Import name of the package that the engine needs."""
     extra: str
     """Extra of surefoot that installs this package."""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """Options of the engine's class."""
+    """Keyword arguments of the engine's class."""
     uses_threads: bool = True
-    """The engine steps its robots on several threads; where it does not, processes share the robots."""
+    """Whether the engine steps robots on several threads; otherwise robots are distributed over processes."""
     max_robots: int | None = None
-    """Robots that one process can hold; None for any number."""
-    robots_side_by_side: int = 0
-    """Robots to simulate at a time where there are many episodes; 0 for all."""
+    """Maximum number of robots per process; None for no limit."""
+    robots_per_batch: int = 0
+    """Number of robots to simulate in parallel if there are many episodes; 0 for all."""
     seeds: range | None = None
-    """Seeds of the world's own robots (`world.ensemble`); None: robots have the parameters that the caller gives."""
+    """Seeds of the world's own robots (`world.ensemble`), or None if the caller chooses the physical parameters."""
 
 
 _BULLET = WorldEntry(
@@ -50,16 +50,16 @@ _BULLET = WorldEntry(
     package="pybullet",
     extra="bullet",
     uses_threads=False,
-    max_robots=256,  # of the 1024 clients that PyBullet has room for; each takes some 33 MB
-    robots_side_by_side=128,
+    max_robots=256,  # of PyBullet's 1024 clients; each takes some 33 MB
+    robots_per_batch=128,
 )
 WORLDS = {
     "mujoco": WorldEntry("surefoot.world.mujoco_engine:MujocoEngine", package="mujoco", extra="sim"),
     "bullet": _BULLET,
     "bullet-published": replace(_BULLET, options={"published": True}),
-    # Robots 1 to 20 were looked at while policies and tasks were made: they are for development. Robots 21 to 60 are
-    # for reported results, and run once, when a policy is final. Robots 61 to 100 were never run: they replace 21 to 60
-    # once anything was decided by what those have shown.
+    # Robots 1 to 20 are for development of policies and tasks. Robots 21 to 60 are for reported results, and run only
+    # once, when a policy is final. Robots 61 to 100 were never run: they replace robots 21 to 60 as soon as any
+    # decision was based on results with those.
     "ensemble": replace(_BULLET, seeds=range(1, 21)),
     "ensemble-test": replace(_BULLET, seeds=range(21, 61)),
 }
@@ -76,21 +76,21 @@ def find_entry(name: str) -> WorldEntry:
     if name not in WORLDS:
         raise SurefootError(f"world '{name}' does not exist; {suggest(name, WORLDS)}")
     entry = WORLDS[name]
-    # Engines are imported in other processes too, where it would be too late for a message.
+    # Check now, because engines are also imported in other processes, where it would be too late for a message.
     if find_spec(entry.package) is None:
         raise ModuleNotFoundError(f"No module named '{entry.package}'", name=entry.package)
     return entry
 
 
 def find_engine(name: str) -> EngineFactory:
-    """Return what makes the physics of a world; errors are those of `find_entry`."""
+    """Return the engine factory of a world. See `find_entry` for errors."""
     entry = find_entry(name)
     factory: EngineFactory = partial(_load(entry.engine), **entry.options)
     return factory
 
 
 def find_world(name: str) -> SimulationFactory:
-    """Return what makes simulations in a world; errors are those of `find_entry`."""
+    """Return the simulation factory of a world. See `find_entry` for errors."""
     find_entry(name)
     return partial(make_world, name)
 
@@ -103,36 +103,40 @@ def make_world(
     seed: int = 0,
     config: WorldConfig | None = None,
 ) -> Simulation:
-    """Return simulated robots: in this process, or spread over `config.threads` processes if the engine needs that.
+    """Make a simulation: in this process, or distributed over `config.threads` processes for engines without threads.
 
     Raises:
-        SurefootError: as `SimWorld`, or more robots than so many processes can hold.
+        SurefootError: see `find_entry` and `SimWorld`; or more robots than the processes can hold.
     """
     entry, config = find_entry(name), config or WorldConfig()
     if entry.seeds is not None:
         params = draw_ensemble(
             robot, PhysicalParams.nominal(robot, num_envs) if params is None else params, entry.seeds
         )
-    make = "surefoot.world.sim_world:SimWorld" if entry.uses_threads else "surefoot.world.process_world:spread_world"
+    make = (
+        "surefoot.world.sim_world:SimWorld"
+        if entry.uses_threads
+        else "surefoot.world.process_world:make_distributed_world"
+    )
     world: Simulation = _load(make)(robot, num_envs, params, seed, config, name)
     return world
 
 
 def check_takes_params(name: str) -> None:
-    """Raise `SurefootError` for a world whose robots have parameters of their own; else as `find_entry`."""
+    """Raise a `SurefootError` for a world whose robots have their own parameters. See `find_entry` for other errors."""
     if find_entry(name).seeds is not None:
         names = [other for other, entry in WORLDS.items() if entry.seeds is None]
         raise SurefootError(f"world is '{name}'; {suggest(name, names)}")
 
 
 def is_modelled(name: str, parameter: str) -> bool:
-    """Return whether the engine of a world models a physical parameter; where it does not, it must be 0."""
+    """Return whether the engine of a world models a physical parameter, which must otherwise be 0."""
     engines = PARAMETERS[parameter].engines
     return not engines or WORLDS[name].engine in (WORLDS[world].engine for world in engines)
 
 
 def check_modelled(name: str, params: PhysicalParams) -> None:
-    """Raise `SurefootError` for a physical parameter other than 0 that the engine of a world does not model."""
+    """Raise a `SurefootError` for a nonzero physical parameter that the engine of a world does not model."""
     for parameter, declared in PARAMETERS.items():
         if not is_modelled(name, parameter):
             values = getattr(params, parameter)

@@ -1,4 +1,4 @@
-"""`SimWorld`: engine + actuator + delays + sensors, for a batch of simulated robots."""
+"""`SimWorld`: simulation of a batch of robots with a physics engine, actuators, delays and sensors."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from surefoot.world.interface import SensorReadings, SimState, WorldConfig
 from surefoot.world.registry import DEFAULT_WORLD, check_modelled, find_engine
 
 SETTLE_TIME = 0.5
-"""Time [s] for which a robot settles before an episode (the robot's published environment)."""
+"""Time [s] for which a robot settles before an episode, as in the paper robot's published environment."""
 _NOISE_BLOCK = 256
-_ZERO_AT_START = (
+_RESET_ARRAYS = (
     *("ticks", "duty", "torque", "motor_torque", "energy", "heat", "overheated_time", "switched_off", "contact_ticks"),
     *("limit_ticks", "filtered_speed", "friction_stretch"),
 )
 
 
 def check_batch(num_envs: int, params: PhysicalParams | None) -> None:
-    """Refuse a world without robots, or parameters for another number of them."""
+    """Raise a `SurefootError` for a world without robots, or parameters of another number of robots."""
     if num_envs < 1:
         raise SurefootError(f"num_envs is {num_envs}; a world needs 1 robot or more")
     if params is not None and params.num_envs != num_envs:
@@ -35,17 +35,17 @@ def check_batch(num_envs: int, params: PhysicalParams | None) -> None:
 
 
 class SimWorld:
-    """A batch of simulated robots, each with physical parameters, clock and control step of its own.
+    """A batch of simulated robots, each with its own physical parameters, clock and control step.
 
     Args:
-        robot: what to simulate.
+        robot: the robot.
         num_envs: number of robots.
-        params: their physical parameters; nominal, if none are given.
-        seed: seeds sensor noise and starting velocities, one stream a robot.
-        config: see `WorldConfig`.
-        engine: name in the registry of worlds of the physics engine.
-        first: number of the first robot, for one of several worlds that share a batch: robot k draws what it would
-            draw as robot `first` + k of a single world.
+        params: physical parameters, one row per robot. Defaults to nominal values.
+        seed: seed of sensor noise and initial velocities, with one random stream per robot.
+        config: configuration of the world.
+        engine: name of a world in the registry, whose engine is used.
+        first: index of the first robot if several worlds share a batch. Robot k uses the random streams of robot
+            `first` + k.
 
     Raises:
         SurefootError: no robots, or parameters for another number of robots or outside the allowed bounds.
@@ -70,10 +70,10 @@ class SimWorld:
         self.engine = make_engine(robot, self.actuation, self.config)
         self.params = PhysicalParams.nominal(robot, num_envs)
         self.resting_angles = robot.pose_angles(*(self.config.rest or robot.rest))
-        # How deep nominal feet stand in the ground: weight over stiffness of all feet [m].
+        # Static penetration of nominal feet [m]: weight per foot over contact stiffness.
         self._weight = self.engine.gravity * robot.urdf.total_mass / len(robot.legs)
         self._nominal_depth = self._weight / robot.contact.stiffness
-        self._settled = self._settle(make_engine)
+        self._settled_state = self._settle(make_engine)
         self._imu_streams = generators(seed, "imu noise", first + num_envs)[first:]
         self._start_streams = generators(seed, "start", first + num_envs)[first:]
         self._noise = np.zeros((num_envs, _NOISE_BLOCK, 2))
@@ -86,7 +86,7 @@ class SimWorld:
         self.reset()
 
     def _settle(self, make_engine: EngineFactory) -> Array:
-        """Return the state of one nominal robot after it has settled."""
+        """Return the engine state of one nominal robot that has settled in its resting pose."""
         config = replace(self.config, thermal_protection=False, threads=1)
         actuation = new_actuation(self.robot, 1, self._history, config)
         single = make_engine(self.robot, actuation, config)
@@ -104,7 +104,7 @@ class SimWorld:
         return settled
 
     def reset(self, index: ArrayLike | None = None) -> SensorReadings:
-        """Bring robots back to the settled resting pose with a new history; return readings of all robots."""
+        """Reset robots to the settled resting pose with a new history; return the readings of all robots."""
         rows = np.arange(self.num_envs) if index is None else np.atleast_1d(np.asarray(index, np.int64))
         self._reset(rows)
         self._diverged[rows] = False
@@ -112,14 +112,14 @@ class SimWorld:
 
     def _reset(self, rows: Index) -> None:
         actuation, config = self.actuation, self.config
-        for name in _ZERO_AT_START:
+        for name in _RESET_ARRAYS:
             getattr(actuation, name)[rows] = 0
         actuation.target[rows] = self.resting_angles
         self._control_steps[rows] = 0
         self._draw_noise(rows)
-        self.engine.set_state(rows, self._settled)
+        self.engine.set_state(rows, self._settled_state)
         turned = rows[self._headings[rows] != 0.0]
-        self.engine.turn(turned, self._headings[turned])
+        self.engine.rotate(turned, self._headings[turned])
         offset = self._starts[rows]
         offset[:, 2] += self._nominal_depth - self._weight / self.params.contact_stiffness[rows]
         moved = offset.any(axis=1)
@@ -133,9 +133,9 @@ class SimWorld:
             record_sample(actuation, i)
 
     def place_motors(self, angle: Array, velocity: Array) -> None:
-        """Begin with readings of the motors' angles [rad] and speeds [rad/s] (N, M); for robots without closed loops.
+        """Set the initial state to measured motor angles [rad] and speeds [rad/s] (N, M).
 
-        It follows a reset, and stands in for it: the history begins with these readings.
+        For robots without closed loops. Call it right after a reset: the history then starts with these readings.
         """
         rows = np.arange(self.num_envs)
         self.engine.set_motors(rows, angle - self.actuation.motor_offset, velocity)
@@ -145,13 +145,13 @@ class SimWorld:
             record_sample(self.actuation, i)
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> SensorReadings:
-        """Hold motor angles (N, M) [rad] for one control step of each robot; return readings at its end.
+        """Hold motor angles (N, M) [rad] for one control step of each robot; return the readings at its end.
 
-        With `active` (N,), time stands still for all other robots, which cost nothing.
+        With `active` (N,), all other robots are frozen and take no computing time.
 
-        A control step that is not a multiple of the servo step is kept on average: the k-th one ends at the
-        servo step nearest to k times the control step. A robot that diverges, or is sent angles that are not
-        finite, is put back to its resting pose, counted in `divergences` and marked in `truth().diverged`.
+        A control step that is not a multiple of the servo step is correct on average: the k-th control step ends at the
+        servo step closest to k times the control step. A robot that diverges, or receives angles that are not finite,
+        is reset to its resting pose, counted in `divergences` and marked in `truth().diverged`.
         """
         if active is None:
             self.actuation.target[...] = target
@@ -175,7 +175,7 @@ class SimWorld:
         return self.readings()
 
     def readings(self) -> SensorReadings:
-        """Return what the control computer receives: `control_latency` old, roll and pitch with bias and noise."""
+        """Return the readings at the control computer: `control_latency` old, with bias and noise on roll and pitch."""
         motors = self.robot.num_motors
         out = np.empty_like(self.actuation.sample)
         read_delayed(self.actuation, self.params.control_latency, out)
@@ -194,7 +194,7 @@ class SimWorld:
         )
 
     def _draw_noise(self, rows: Index) -> None:
-        """Draw the next block of standard normal numbers for robots that have noise."""
+        """Draw the next block of standard normal numbers for robots with IMU noise."""
         for i in rows[self.params.imu_noise[rows] > 0]:
             self._noise[i] = self._imu_streams[i].standard_normal((_NOISE_BLOCK, 2))
 
@@ -219,15 +219,15 @@ class SimWorld:
         )
 
     def foot_positions(self) -> Array:
-        """Return the centres of the rounded feet in the world frame [m], (N, L, 3)."""
+        """Return the centres of the spherical feet in the world frame (N, L, 3) [m]."""
         return self.engine.foot_positions()
 
     def set_params(self, index: ArrayLike, params: PhysicalParams) -> None:
-        """Give the robots at `index` other physical parameters, one row each; best followed by their reset.
+        """Set the physical parameters of the robots at `index`, one row per robot. A reset should follow.
 
         Raises:
-            SurefootError: a value outside what the robot's description allows, or that the engine does not model;
-                then no robot has changed.
+            SurefootError: a value outside the bounds of the robot's description, or a parameter that the engine does
+                not model. In this case, no robot is changed.
         """
         rows = np.atleast_1d(np.asarray(index, np.int64))
         params.check(self.robot)
@@ -237,20 +237,20 @@ class SimWorld:
         set_actuation_params(self.actuation, rows, params)
 
     def place(self, index: ArrayLike, starts: Array, headings: Array) -> None:
-        """Let robots rest at places (n, 2) [m] of the ground, with headings (n,) [rad], from their next reset on.
+        """Set the positions (n, 2) [m] and headings (n,) [rad] at which robots start after their next reset.
 
-        The ground there must be level, and as it is at (0, 0), where the robot has settled.
+        The ground there must be as level as at (0, 0), where the robot has settled.
         """
         rows, ground = np.atleast_1d(np.asarray(index, np.int64)), self.config.ground
         self._starts[rows, :2], self._headings[rows] = starts, headings
         self._starts[rows, 2] = ground.height(np.asarray(starts, float)) - ground.height(np.zeros(2))
 
     def push(self, force_world: ArrayLike) -> None:
-        """Set the force (N, 3) [N] on each base's centre of mass from now on, in the world frame."""
+        """Set the force (N, 3) [N] on each base's centre of mass in the world frame, until the next call."""
         self.engine.set_force(np.asarray(force_world, float))
 
     def get_state(self) -> dict[str, Any]:
-        """Return the whole state of the world."""
+        """Return the complete state of the world."""
         return {
             "engine": self.engine.get_state(np.arange(self.num_envs)),
             "actuation": {name: array.copy() for name, array in self.actuation._asdict().items()},
@@ -265,7 +265,7 @@ class SimWorld:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Continue from `get_state`, exactly."""
+        """Restore a state from `get_state`, to continue exactly from there."""
         self.set_params(np.arange(self.num_envs), PhysicalParams(**state["params"]))
         for name, array in self.actuation._asdict().items():
             array[...] = state["actuation"][name]

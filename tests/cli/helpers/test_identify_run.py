@@ -1,4 +1,4 @@
-"""Experiments reach a robot on either link; a Go2 over DDS gets the gains that the user states."""
+"""Experiments connect to a robot over both links; a Go2 over DDS receives the user's gains."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
 
-def test_a_go2_over_dds_gets_the_stated_gains(monkeypatch: pytest.MonkeyPatch):
+def test_a_go2_over_dds_receives_the_given_gains(monkeypatch: pytest.MonkeyPatch):
     go2, opened = RobotDescription.load("go2"), []
 
     def open_dds_link(*words: Any) -> str:
@@ -34,13 +34,19 @@ def test_a_go2_over_dds_gets_the_stated_gains(monkeypatch: pytest.MonkeyPatch):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({}, "give one of them; none is given"),
-        ({"port": "/dev/ttyUSB0", "settings": (("servo_kp=20",),)}, "--set goes with --link dds; the gains of a robot"),
+        ({}, "--recording of an experiment; neither is given"),
+        (
+            {"port": "/dev/ttyUSB0", "settings": (("servo_kp=20",),)},
+            "--set requires --link dds; a robot on a serial port",
+        ),
         ({"link": "dds"}, "--interface is missing"),
-        ({"link": "dds", "interface": "eth0", "settings": (("motor_friction=1",),)}, "--set names motor_friction; an"),
-        ({"port": "/dev/ttyUSB0", "interface": "eth0"}, "--interface is given; it goes with --link dds"),
+        (
+            {"link": "dds", "interface": "eth0", "settings": (("motor_friction=1",),)},
+            "--set names motor_friction; it must be",
+        ),
+        ({"port": "/dev/ttyUSB0", "interface": "eth0"}, "--interface is given; it requires --link dds"),
     ],
 )
-def test_options_that_do_not_go_together_are_refused(options: dict[str, Any], message: str):
+def test_options_that_do_not_go_together_are_rejected(options: dict[str, Any], message: str):
     with pytest.raises(SurefootError, match=message):
         _check_options(ExperimentCommand(**options))

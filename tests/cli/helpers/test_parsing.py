@@ -1,4 +1,4 @@
-"""Words that are values of options and words that are not; an error with a long text, in one short line."""
+"""Positional arguments and values of options; long errors are reported in one short line."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from processes import refused, surefoot
+from processes import assert_rejected, surefoot
 
 pytest.importorskip("mujoco")
 
@@ -17,7 +17,7 @@ def test_error_is_one_short_line_without_control_characters(tmp_path: Path):
     path = tmp_path / "a.yaml"
     path.write_text(f'"\\e[2J{"x" * 100_000}": 1\n')
     done = surefoot("evaluate", "trot", "--randomize", path)
-    refused(done)
+    assert_rejected(done)
     assert len(done.stderr) < 2500
     assert "\033" not in done.stderr
 
@@ -41,15 +41,15 @@ class Options:
         ("--loud", ""),
     ],
 )
-def test_positional_words_are_not_values_of_options(line: str, found: str):
+def test_positional_words_exclude_values_of_options(line: str, found: str):
     assert positional_words(line.split(), Options) == found.split()
 
 
-def test_a_pattern_that_matches_several_runs_needs_the_name_of_one(tmp_path: Path):
+def test_a_pattern_that_matches_several_runs_is_rejected(tmp_path: Path):
     for name in ("first", "second"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "run.json").write_text("{}")
     done = surefoot("show", tmp_path / "first", tmp_path / "second")
-    refused(done)
+    assert_rejected(done)
     assert "several runs" in done.stderr
     assert "several runs" not in surefoot("show", "trot", "more").stderr

@@ -1,4 +1,4 @@
-"""`--randomize TABLE` and `--randomize.NAME LOW HIGH`, as words and in commands."""
+"""`--randomize TABLE` and `--randomize.NAME LOW HIGH`: parsing, and effect in commands."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WITHOUT_MASS = {name: interval for name, interval in TABLE_1.items() if name != 
 
 
 def taken(line: str, base: Ranges | None = None) -> tuple[list[str], Ranges]:
-    """Return the other words, and the Minitaur's ranges."""
+    """Return the other arguments, and the Minitaur's ranges."""
     rest, options = take_ranges(line.split())
     return rest, options.apply("minitaur", base)
 
@@ -99,7 +99,7 @@ def test_option_changes_the_range_of_one_parameter(line: str, ranges: Ranges):
         ("--randomize.voltage 0.9 none", ["--randomize.voltage is 0.9 none; it takes LOW HIGH"]),
     ],
 )
-def test_invalid_ranges_are_refused_in_one_line(line: str, pieces: list[str]):
+def test_invalid_ranges_are_rejected_in_one_line(line: str, pieces: list[str]):
     with pytest.raises(SurefootError) as caught:
         taken(line)
     assert "\n" not in str(caught.value)
@@ -132,7 +132,7 @@ def test_evaluate_reports_its_ranges(tmp_path: Path):
     assert result["falls"] in (0, 1, 2)
     expected = WITHOUT_MASS | {"voltage": (14.0, 15.0)}
     assert result["randomize"] == {name: list(interval) for name, interval in expected.items()}
-    # The same words draw the same, and without the options nothing is drawn.
+    # The same options give the same parameters; without the options nothing is randomized.
     assert surefoot(*words, *ranges).stdout == drawn.stdout
     plain = json.loads(surefoot(*words).stdout)
     assert plain["randomize"] == {}

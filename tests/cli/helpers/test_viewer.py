@@ -16,7 +16,7 @@ ROBOT = RobotDescription.load("minitaur")
 
 
 class Window:
-    """Viewer that is closed after some pictures, and keeps the base's place in each."""
+    """Fake viewer that is closed after some frames, and records the base's position in each."""
 
     def __init__(self, pictures: int) -> None:
         self.left, self.seen = pictures, []
@@ -46,17 +46,17 @@ def test_replay_shows_a_run_in_real_time_and_repeats_it(make_run, monkeypatch: p
     from surefoot.cli.helpers.viewer import replay
 
     window, length = Window(4), float(trace.time[-1])
-    # The window opens at 100 s by the clock.
+    # The window opens at a clock time of 100 s.
     moments = iter([100.0, 100.0, 100.0 + trace.time[40], 100.0 + length - 1e-6, 100.0 + length + trace.time[20]])
     monkeypatch.setattr("surefoot.cli.helpers.viewer.time", mock.Mock(perf_counter=lambda: next(moments)))
     monkeypatch.setattr(viewer, "launch_passive", window)
     replay(ROBOT, trace)
-    # A step of the trace is 10 ms and 10 mm.
+    # Each step of the trace takes 10 ms and moves 10 mm.
     np.testing.assert_allclose([place[0] for place in window.seen], [0.01, 0.41, 1.0, 0.21], atol=0.0101)
     assert window.cam.trackbodyid == window.model.body(ROBOT.base).id
 
 
-def test_emulate_viewer_shows_the_present_pose(monkeypatch: pytest.MonkeyPatch):
+def test_emulate_viewer_shows_the_current_pose(monkeypatch: pytest.MonkeyPatch):
     viewer = pytest.importorskip("mujoco.viewer")
     from surefoot.cli.helpers import viewer as ours
 
@@ -67,7 +67,7 @@ def test_emulate_viewer_shows_the_present_pose(monkeypatch: pytest.MonkeyPatch):
     started: list[mock.Mock] = []
 
     def process(target, args, daemon) -> mock.Mock:
-        assert daemon  # it ends with the emulator, whatever happens to that
+        assert daemon  # the viewer ends with the emulator, however that ends
         started.append(mock.Mock(run=lambda: target(*args)))
         return started[-1]
 
@@ -77,10 +77,10 @@ def test_emulate_viewer_shows_the_present_pose(monkeypatch: pytest.MonkeyPatch):
     shown = ours.EmulateViewer("minitaur", plant)
     started[0].start.assert_called_once_with()
     seen = []
-    # Every 33 ms of the robot's time, not at each servo step.
+    # Every 33 ms of robot time, not at each servo step.
     for now in (0, 10_000, 32_000, 33_000):
         place[0] += 1.0
-        shown.see(now)
+        shown.update(now)
         window = Window(1)
         monkeypatch.setattr(viewer, "launch_passive", window)
         started[0].run()

@@ -1,4 +1,4 @@
-"""The microcontroller's program, in Python and in C: every rule of the protocol, on a clock of the test."""
+"""The microcontroller's program in Python and in C: every rule of the protocol, on a simulated clock."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_hello_is_answered_by_the_handshake_and_frames_are_counted_from_one(ro
     assert sent.servo_period == 0.001
     np.testing.assert_allclose([sent.servo_kp, sent.servo_kd], [[1.0] * 8, [0.015] * 8])
     assert (sent.command_timeout, sent.rearm_after) == (0.050, 0.5)
-    # Leg space: extension 0.6 to 2.7, swing up to 1; and 1 rad of room.
+    # Leg space: extension 0.6 to 2.7, swing up to 1, with a margin of 1 rad.
     np.testing.assert_allclose([sent.angle_low[0], sent.angle_high[0]], [-1.4, 4.7])
     bench.run(30)
     assert [frame.sequence for frame in bench.sent] == list(range(1, len(bench.sent) + 1))
@@ -52,8 +52,8 @@ def test_a_hello_is_answered_by_the_handshake_and_frames_are_counted_from_one(ro
     ("where", "room"),
     [*(("serial line", room) for room in (1.0, 1.01, 1.02, 1.03)), pytest.param("C", 1.01, marks=needs_gcc)],
 )
-def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, where, room):
-    monkeypatch.setattr("surefoot.robot.description.ANGLE_ROOM", room)
+def test_commands_at_the_limits_of_the_handshake_are_accepted(robot, monkeypatch, where, room):
+    monkeypatch.setattr("surefoot.robot.description.ANGLE_MARGIN", room)
     bench = Bench(robot, where)
     (sent,) = bench.send(Hello(ME, 0.010))
     bench.send(Arm(ME, int(Mode.POSITION), 0.006, 0.003))
@@ -62,13 +62,13 @@ def test_a_command_at_the_limits_of_the_handshake_is_obeyed(robot, monkeypatch, 
         assert bench.send(Position(ME, target)) == []
         bench.run(1)
         assert bench.firmware.mode == Mode.POSITION
-        np.testing.assert_array_equal(bench.order.values, target)
+        np.testing.assert_array_equal(bench.motor_command.values, target)
     bench.send(Position(ME, np.nextafter(sent.angle_high.astype(np.float32), np.float32(9))))
     assert bench.firmware.reason == Reason.COMMAND
 
 
 @pytest.mark.parametrize("where", ["serial line", IN_C])
-def test_a_text_that_is_not_utf8_is_no_unknown_frame_at_the_robot(robot, where: str):
+def test_the_robot_accepts_texts_that_are_not_utf8(robot, where: str):
     bench = Bench(robot, where)
     bench.send(Hello(ME, 0.010))
     body = CODEC.pack(Fault(ME, 1, "x" * 80)).replace(b"x" * 80, b"\xff" * 80)
@@ -78,7 +78,7 @@ def test_a_text_that_is_not_utf8_is_no_unknown_frame_at_the_robot(robot, where: 
 
 
 @pytest.mark.parametrize("where", ["serial line", IN_C])
-def test_another_schema_is_refused_ten_times_a_second_and_changes_nothing(robot, where):
+def test_another_schema_is_rejected_ten_times_per_second_and_changes_nothing(robot, where):
     bench, other = Bench(robot, where), Codec(8)
     other.schema ^= 1
     for number in range(1, 31):
@@ -89,7 +89,7 @@ def test_another_schema_is_refused_ten_times_a_second_and_changes_nothing(robot,
 
 
 def raw_frame(codec: Codec, kind: type[Message], payload: bytes, number: int) -> bytes:
-    """Return a whole frame with a payload of any bytes."""
+    """Return a complete frame with arbitrary bytes as payload."""
     body = HEADER.pack(VERSION, NUMBERS[kind], codec.schema, number, 200_000_000) + payload
     return b"\0" + cobs.encode(body + zlib.crc32(body).to_bytes(CRC_BYTES, "little")) + b"\0"
 
@@ -131,14 +131,14 @@ def test_no_message_crashes_the_firmware_or_exceeds_its_limits(robot, where, tal
         else:
             bench.send(sent, number=number)
         bench.run(pause)
-        if bench.order is not None and bench.order.mode == Mode.POSITION:
-            assert ((bench.order.values >= low) & (bench.order.values <= high)).all()
-        elif bench.order is not None and bench.order.mode == Mode.PWM:
-            assert (np.abs(bench.order.values) <= 1).all()
+        if bench.motor_command is not None and bench.motor_command.mode == Mode.POSITION:
+            assert ((bench.motor_command.values >= low) & (bench.motor_command.values <= high)).all()
+        elif bench.motor_command is not None and bench.motor_command.mode == Mode.PWM:
+            assert (np.abs(bench.motor_command.values) <= 1).all()
 
 
 def random_message(rng: random.Random) -> Message | bytes:
-    """Return what a host may send, mostly in good order."""
+    """Return a random message of a host, usually a valid one."""
     session = rng.choices([ME, OTHER, 0], [40, 2, 1])[0]
     number = rng.choices([1.5, rng.uniform(-2, 6), rng.choice([np.nan, np.inf, 4.7, -1.4, 900.0])], [60, 1, 1])[0]
     values = np.where(np.arange(8) == rng.randrange(8), number, 0.9).astype(np.float32)
@@ -158,12 +158,12 @@ def random_message(rng: random.Random) -> Message | bytes:
 
 
 @pytest.mark.parametrize("where", [IN_C, IN_QEMU])
-def test_both_programs_say_the_same(robot, where):
+def test_both_programs_have_the_same_answers(robot, where):
     rng, benches = random.Random(0), [Bench(robot, "serial line"), Bench(robot, where)]
     one, other = benches
     good = (0.0, 16.0, 25.0)
     script: list[Any] = []
-    for _ in range(15):  # rounds that begin with an armed robot, mostly
+    for _ in range(15):  # rounds that usually start with an armed robot
         script += [(b"", 1100, good), (Hello(ME, 0.01), 50, good)] + [(Ping(1), 50, good)] * 11
         script.append((Arm(ME, rng.choice([1, 1, 2]), 0.006, 0.003), 1, good))
         for _ in range(30):
@@ -181,10 +181,10 @@ def test_both_programs_say_the_same(robot, where):
             bench.run(pause)
         assert one.mode == other.mode
         assert one.firmware.next_state == other.firmware.next_state
-        assert one.firmware.is_taken(one.now) == other.firmware.is_taken(one.now)
+        assert one.firmware.has_operator(one.now) == other.firmware.has_operator(one.now)
         assert len(one.sent) == len(other.sent)
-        if one.order is not None:
-            np.testing.assert_array_equal(one.order.values.astype(np.float32), other.order.values)
+        if one.motor_command is not None:
+            np.testing.assert_array_equal(one.motor_command.values.astype(np.float32), other.motor_command.values)
     for mine, its in zip(one.sent, other.sent, strict=True):
         assert (mine.sequence, mine.time) == (its.sequence, its.time)
         assert CODEC.pack(mine.message) == CODEC.pack(its.message), (mine, its)

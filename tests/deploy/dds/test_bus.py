@@ -1,4 +1,4 @@
-"""Topics on the loopback: messages between two processes, own messages left out, interfaces that do not carry."""
+"""Topics on the loopback interface: messages between two processes, own messages ignored, invalid interfaces."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_two_processes_exchange_states_and_commands() -> None:
         while len(ticks) < 20 and time.monotonic() < end:
             state["tick"] += 1
             assert states.write(low_level.encode(state))
-            assert own.write(low_level.encode(low_level.new_command()))  # not among the answers: q is PosStopF
+            assert own.write(low_level.encode(low_level.new_command()))  # not among the answers: its q is PosStopF
             time.sleep(0.002)
             ticks += [float(low_level.decode(LOW_COMMAND, data)["motor_cmd"]["q"][3]) for data in answers.take()]
     finally:
@@ -57,7 +57,7 @@ def test_two_processes_exchange_states_and_commands() -> None:
 
 
 @pytest.mark.parametrize("name", ["eth9", "", "lo; rm", "x" * 300])
-def test_an_interface_that_does_not_exist(name: str) -> None:
+def test_an_unknown_interface_is_rejected(name: str) -> None:
     with pytest.raises(SurefootError, match=r"must be one of .*lo"):
         bus.check_interface(name)
 

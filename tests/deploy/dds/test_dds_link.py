@@ -1,4 +1,4 @@
-"""The link to a Go2 over DDS: keeper and watcher as processes, against a robot that is a process too."""
+"""The link to a Go2 over DDS: supervisor and watchdog processes, with a robot in another process."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ pytest.importorskip("cyclonedds")
 from go2_robot import Go2, worker_domain
 
 from surefoot.deploy.dds.dds_link import DdsLink, check_priority, make_config
-from surefoot.deploy.pacer import undisturbed
+from surefoot.deploy.pacer import real_time_priority
 
 DOMAIN = worker_domain(60)
 STEP = 0.01
 KP, KD = 40.0, 1.5
 REACTION = 0.060
-"""Longest time [s] from a fault to the first command that damps."""
+"""Maximum time from a fault to the first damping command [s]."""
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +38,8 @@ def go2() -> RobotDescription:
 
 @pytest.fixture(scope="module", autouse=True)
 def punctual() -> Iterator[None]:
-    """Keep the operator in time, as a deployment does: a busy computer must not make its commands late."""
-    with undisturbed():
+    """Give the operator real-time priority, as in a deployment, so that its commands are not late."""
+    with real_time_priority():
         yield
 
 
@@ -57,10 +57,10 @@ class Operator:
         self.link = DdsLink(make_config(robot, "lo", DOMAIN, (KP, KD)))
         self.link.connect()
         assert self.link.wait_for(lambda: self.link.states > 1, 2.0)
-        self.watcher, self.keeper = (child.pid for child in self.link.children)
+        self.watchdog, self.supervisor = (child.pid for child in self.link.children)
 
     def arm(self) -> None:
-        """Arm, as soon as the robot does."""
+        """Arm the robot as soon as possible."""
         end = time.monotonic() + 5.0
         while self.link.last_state().mode != Mode.POSITION:
             assert time.monotonic() < end, self.link.faults[-1:]
@@ -71,7 +71,7 @@ class Operator:
         self.target = self.link.last_state().motor_angle
 
     def hold(self, condition: Callable[[], bool], timeout: float = 2.0) -> bool:
-        """Command the same pose until a condition holds; return whether it does in time."""
+        """Command the same pose until a condition holds; return whether it did in time."""
         end = time.monotonic() + timeout
         while time.monotonic() < end:
             self.link.command(Mode.POSITION, self.target)
@@ -82,7 +82,7 @@ class Operator:
         return False
 
     def end(self) -> None:
-        """End its processes at once: they would damp the motors for a while."""
+        """Kill its processes, which would otherwise damp the motors for a while."""
         for child in self.link.children:
             with contextlib.suppress(ProcessLookupError):  # it has ended
                 os.kill(child.pid, signal.SIGKILL)
@@ -103,7 +103,7 @@ def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, 
     time.sleep(0.1)
     assert body.read() == []  # nothing before the motors are armed
     operator.link.update()
-    assert operator.link.state_sent == pytest.approx(body.time, abs=0.1)  # what records the robot has the same time
+    assert operator.link.state_sent == pytest.approx(body.time, abs=0.1)  # recordings of the robot have the same time
     operator.arm()
     assert operator.hold(lambda: False, 0.5) is False
     frames = body.read()
@@ -111,7 +111,7 @@ def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, 
     assert max(frame.jump for frame in frames) < 0.1
     rate = len(frames) / (frames[-1].time - frames[0].time)
     assert 450 < rate < 550
-    pids = [operator.watcher, operator.keeper]
+    pids = [operator.watchdog, operator.supervisor]
     real_time = all(os.sched_getscheduler(pid) == os.SCHED_FIFO for pid in pids)
     assert check_priority(pids).passed is (True if real_time else None)
     assert check_priority([os.getppid()]).passed is None
@@ -121,26 +121,26 @@ def test_commands_carry_gains_and_begin_at_the_present_pose(operator: Operator, 
     frames = body.read()
     first = next(k for k, frame in enumerate(frames) if frame.damps)
     assert all(frame.damps for frame in frames[first:])
-    assert frames[-1].time - frames[first].time > 0.4  # damped for half a second after the loop has gone
+    assert frames[-1].time - frames[first].time > 0.4  # damped for half a second after the loop has ended
     time.sleep(0.1)
     assert len(body.read()) == len(frames)
 
 
 @pytest.mark.realtime
 @pytest.mark.parametrize("how", ["killed", "stands still"])
-def test_a_keeper_that_ends_or_stands_still(operator: Operator, body: Go2, how: str) -> None:
-    """`test_keeper.py` has what the keeper does when others end."""
+def test_the_motors_are_damped_if_the_supervisor_dies_or_hangs(operator: Operator, body: Go2, how: str) -> None:
+    """`test_supervisor.py` tests the supervisor when other processes end."""
     operator.arm()
     operator.hold(lambda: False, 0.1)
-    # Just after a command: stopped while it writes one, it would send that as soon as it goes on.
+    # Just after a command: if stopped while writing one, it would send that as soon as it continues.
     while time.monotonic() - body.read()[-1].time > 0.0007:
         pass
     ended = time.monotonic()
-    os.kill(operator.keeper, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
+    os.kill(operator.supervisor, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
     first = body.wait_for(lambda frame: frame.damps, ended)
     assert first.time - ended < REACTION
     if how == "stands still":
-        os.kill(operator.keeper, signal.SIGCONT)
+        os.kill(operator.supervisor, signal.SIGCONT)
     time.sleep(0.2)
     frames = [frame for frame in body.read() if frame.time >= ended]
     assert all(frame.damps for frame in frames if frame.time >= first.time)
@@ -148,7 +148,7 @@ def test_a_keeper_that_ends_or_stands_still(operator: Operator, body: Go2, how: 
 
 
 @pytest.mark.realtime
-def test_another_program_that_commands_the_motors(operator: Operator, body: Go2) -> None:
+def test_commands_of_another_program_damp_the_motors(operator: Operator, body: Go2) -> None:
     from surefoot.deploy.dds import bus, types
     from surefoot.deploy.dds.low_level import encode, new_command
 
@@ -163,24 +163,24 @@ def test_another_program_that_commands_the_motors(operator: Operator, body: Go2)
     assert operator.link.last_state().reason == Reason.OTHER_PROGRAM
 
 
-def test_the_keeper_waits_for_three_steps_of_a_slow_policy(go2: RobotDescription) -> None:
+def test_the_command_timeout_covers_three_steps_of_a_slow_policy(go2: RobotDescription) -> None:
     assert make_config(go2, "lo", DOMAIN).limits.command_timeout == 0.055
     slow = make_config(go2, "lo", DOMAIN, silence=0.06)
     assert slow.limits.command_timeout == slow.handshake.command_timeout == 0.06
 
 
-def test_another_robot_is_refused(robot: RobotDescription) -> None:
-    with pytest.raises(SurefootError, match="speaks with a Unitree Go2; minitaur must have its joint actuators"):
+def test_another_robot_is_rejected(robot: RobotDescription) -> None:
+    with pytest.raises(SurefootError, match="needs a Unitree Go2; minitaur must have joint actuators"):
         make_config(robot, "lo", DOMAIN)
 
 
-def test_an_interface_that_does_not_exist(go2: RobotDescription) -> None:
+def test_an_unknown_interface_is_rejected(go2: RobotDescription) -> None:
     with pytest.raises(SurefootError, match=r"there is no network interface 'eth9'; it must be one of .*lo"):
         DdsLink(make_config(go2, "eth9", DOMAIN))
 
 
 @pytest.mark.realtime
-def test_a_command_of_another_program_before_the_arming_is_remembered(
+def test_a_command_of_another_program_prevents_arming_later(
     operator: Operator, body: Go2, go2: RobotDescription
 ) -> None:
     from surefoot.deploy.dds import bus, types
@@ -189,11 +189,11 @@ def test_a_command_of_another_program_before_the_arming_is_remembered(
     writer = bus.Bus("lo", DOMAIN).writer(bus.LOW_COMMAND_TOPIC, types.LowCmd)
     time.sleep(0.3)
     link = operator.link
-    assert link.hears_others
+    assert link.detects_other_programs
     assert link.foreign_commands == []
     writer.write(encode(new_command()))
     assert link.wait_for(lambda: bool(link.foreign_commands), 2.0, link.ping)
-    time.sleep(1.0)  # longer than other hazards are shown
+    time.sleep(1.0)  # longer than other hazards are held
     assert link.listen().startswith("another program commands the motors: 1 message, the last ")
     check = check_foreign_commands(link)
     assert check.passed is False

@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from surefoot.deploy.dds import low_level
-from surefoot.deploy.dds.low_level import LOW_COMMAND, LOW_STATE, BadMessageError, Remote
+from surefoot.deploy.dds.low_level import LOW_COMMAND, LOW_STATE, BadMessageError, RemoteControl
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_messages.json").read_text())
 KINDS = {"low_state": LOW_STATE, "low_cmd": LOW_COMMAND}
 
 
 def fill(record: Any, values: dict[str, Any]) -> None:
-    """Set the fields of a record from nested tables and lists; what is not named keeps its value."""
+    """Set fields of a record from nested tables and lists; the other fields keep their values."""
     for name, value in values.items():
         if isinstance(value, dict):
             fill(record[name], value)
@@ -40,7 +40,7 @@ def recorded(name: str) -> np.ndarray:
 
 
 def noise(kind: np.dtype, seed: int) -> np.ndarray:
-    """Return a message of random numbers; integers in the lower half, as the vendor's checksum takes some as signed."""
+    """Return a random message; integers are in the lower half, since the vendor's checksum treats some as signed."""
     rng, record = np.random.default_rng(seed), low_level.new_record(kind)
 
     def draw(part: Any) -> None:
@@ -82,7 +82,7 @@ def test_a_message_has_the_lengths_on_the_wire_and_comes_back(kind: np.dtype, le
 @pytest.mark.parametrize("kind", [LOW_STATE, LOW_COMMAND])
 @given(position=st.integers(4, 807), bit=st.integers(0, 7))
 @settings(max_examples=60, deadline=None)
-def test_a_flipped_bit_is_found_or_was_padding(kind: np.dtype, position: int, bit: int) -> None:
+def test_a_flipped_bit_is_detected_unless_it_is_padding(kind: np.dtype, position: int, bit: int) -> None:
     record = low_level.new_record(kind)
     data = bytearray(low_level.encode(record))
     data[position] ^= 1 << bit
@@ -94,14 +94,14 @@ def test_a_flipped_bit_is_found_or_was_padding(kind: np.dtype, position: int, bi
 
 
 @pytest.mark.parametrize("data", [b"", bytes(3), bytes(1179), bytes(1181), b"\0\0" + bytes(1178), os.urandom(1180)])
-def test_other_layouts_are_refused(data: bytes) -> None:
+def test_other_layouts_are_rejected(data: bytes) -> None:
     with pytest.raises(BadMessageError):
         low_level.decode(LOW_STATE, data)
 
 
 @pytest.mark.sdk
 @pytest.mark.parametrize(("kind", "name"), [(LOW_STATE, "LowState_"), (LOW_COMMAND, "LowCmd_")])
-def test_bytes_and_checksums_are_those_of_the_vendors_classes(kind: np.dtype, name: str) -> None:
+def test_bytes_and_checksums_agree_with_the_vendors_classes(kind: np.dtype, name: str) -> None:
     pytest.importorskip("unitree_sdk2py.idl.unitree_go.msg.dds_", exc_type=ImportError)
     from unitree_sdk2py.idl.unitree_go.msg import dds_
     from unitree_sdk2py.utils.crc import CRC
@@ -113,12 +113,12 @@ def test_bytes_and_checksums_are_those_of_the_vendors_classes(kind: np.dtype, na
         assert theirs.serialize() == data
 
 
-def test_the_remotes_bytes() -> None:
+def test_the_bytes_of_the_remote_control() -> None:
     data = np.zeros(40, np.uint8)
-    assert Remote.decode(data) == Remote(frozenset(), 0.0, 0.0, 0.0, 0.0)
+    assert RemoteControl.decode(data) == RemoteControl(frozenset(), 0.0, 0.0, 0.0, 0.0)
     data[2:4] = 0b00100000, 0b00000010  # bit 5: L2, bit 9: B
     data[4:8] = np.frombuffer(np.float32(-0.5).tobytes(), np.uint8)
     data[20:24] = np.frombuffer(np.float32(1.0).tobytes(), np.uint8)
-    remote = Remote.decode(data)
-    assert remote == Remote(frozenset({"L2", "B"}), -0.5, 1.0, 0.0, 0.0)
+    remote = RemoteControl.decode(data)
+    assert remote == RemoteControl(frozenset({"L2", "B"}), -0.5, 1.0, 0.0, 0.0)
     assert np.array_equal(remote.encode(), data)

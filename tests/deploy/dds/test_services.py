@@ -1,4 +1,4 @@
-"""Requests and responses on the loopback."""
+"""Requests and responses on the loopback interface."""
 
 from __future__ import annotations
 
@@ -62,5 +62,5 @@ def test_a_client_gets_the_answers_of_a_server() -> None:
 
 
 @pytest.mark.parametrize("data", ["", "null", "[1]", '{"name": 3}', "{" * 9000, '{"name": ""}', "\ud800"])
-def test_data_that_names_no_controller(data: str) -> None:
+def test_data_without_a_controller_name(data: str) -> None:
     assert services.mode_name(data) == ""

@@ -1,4 +1,4 @@
-"""Readings of a Go2 from its states, and what in them stops the motors; against states that a Go2 has sent."""
+"""Monitor of a Go2's states: readings, and hazards that stop the motors, on recorded states of a Go2."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from surefoot.deploy.board.signals import Vitals
-from surefoot.deploy.dds.low_level import LOW_STATE, Record, Remote, encode, new_record
-from surefoot.deploy.dds.state_monitor import LATE, LATE_LOOKS, LOST_RISE, SHOWN, StateMonitor
+from surefoot.deploy.dds.low_level import LOW_STATE, Record, RemoteControl, encode, new_record
+from surefoot.deploy.dds.state_monitor import HAZARD_HOLD, MAX_LOST, MIN_POLLS, STATE_TIMEOUT, StateMonitor
 from surefoot.deploy.messages import Reason
 
 RECORDED = json.loads((Path(__file__).parent / "recorded_messages.json").read_text())["low_state"]
 STEP = 2000
-"""Time [us] between two states."""
+"""Period of states [us]."""
 
 
 def fill(record: Any, values: dict[str, Any]) -> None:
@@ -32,7 +32,7 @@ def fill(record: Any, values: dict[str, Any]) -> None:
 
 
 class Bench:
-    """A robot that sends the recorded state every 2 ms, with a tick that rises."""
+    """A robot that sends the recorded state every 2 ms with an increasing tick."""
 
     def __init__(self) -> None:
         self.monitor, self.now = StateMonitor(), 0
@@ -41,12 +41,12 @@ class Bench:
         self.tick_step = 2
 
     def run(self, seconds: float, damage: Callable[[bytes], bytes | None] = lambda data: data) -> Vitals:
-        """Run so long; return what the board then checks."""
+        """Run for a time [s]; return the vitals at the end."""
         for _ in range(round(seconds * 1e6 / STEP)):
             self.now += STEP
             self.state["tick"] += self.tick_step
             data = damage(encode(self.state))
-            self.monitor.take(self.now, [] if data is None else [data])
+            self.monitor.update(self.now, [] if data is None else [data])
         return self.monitor.vitals(self.now)
 
 
@@ -77,8 +77,8 @@ def test_a_battery_without_cells_has_the_voltage_of_the_board(bench: Bench) -> N
     assert bench.monitor.voltage == pytest.approx(RECORDED["power_v"])
 
 
-def test_before_the_first_state_nothing_may_move(bench: Bench) -> None:
-    assert bench.run(0.1, lambda data: None).hazard == (Reason.STATES_LATE, "no state has come")
+def test_the_motors_must_not_move_before_the_first_state(bench: Bench) -> None:
+    assert bench.run(0.1, lambda data: None).hazard == (Reason.STATES_LATE, "no state has arrived")
 
 
 def silence(_: bytes) -> None:
@@ -97,16 +97,16 @@ def cut(data: bytes) -> bytes:
     ("damage", "reason"),
     [(silence, Reason.STATES_LATE), (flip, Reason.STATES_DAMAGED), (cut, Reason.STATES_DAMAGED)],
 )
-def test_states_that_stop_or_are_damaged(bench: Bench, damage: Callable[[bytes], bytes], reason: Reason) -> None:
+def test_missing_or_damaged_states_are_a_hazard(bench: Bench, damage: Callable[[bytes], bytes], reason: Reason) -> None:
     assert bench.run(0.1).hazard is None
-    assert bench.run(1e-6 * (LATE - STEP), damage).hazard is None
+    assert bench.run(1e-6 * (STATE_TIMEOUT - STEP), damage).hazard is None
     hazard = bench.run(1e-6 * STEP, damage).hazard
     assert hazard is not None
     assert hazard[0] == reason
     assert bench.run(0.002).hazard is None
 
 
-def test_a_state_now_and_then_that_is_damaged_is_left_out(bench: Bench) -> None:
+def test_occasional_damaged_states_are_skipped(bench: Bench) -> None:
     count = 0
 
     def every_third(data: bytes) -> bytes:
@@ -120,44 +120,44 @@ def test_a_state_now_and_then_that_is_damaged_is_left_out(bench: Bench) -> None:
     assert bench.monitor.damaged == 33
 
 
-def test_states_that_repeat(bench: Bench) -> None:
+def test_repeated_states_are_a_hazard(bench: Bench) -> None:
     bench.run(0.1)
     bench.tick_step = 0
-    hazard = bench.run(1e-6 * LATE).hazard
+    hazard = bench.run(1e-6 * STATE_TIMEOUT).hazard
     assert hazard is not None
     assert hazard[0] == Reason.STATES_FROZEN
 
 
-def test_a_reader_that_was_held_up_itself_looks_before_it_judges(bench: Bench) -> None:
+def test_a_delayed_monitor_polls_before_it_reports_late_states(bench: Bench) -> None:
     bench.run(0.1)
-    bench.now += 5 * LATE
-    for _ in range(LATE_LOOKS - 1):
+    bench.now += 5 * STATE_TIMEOUT
+    for _ in range(MIN_POLLS - 1):
         bench.now += STEP
-        bench.monitor.take(bench.now, [])
+        bench.monitor.update(bench.now, [])
         assert bench.monitor.vitals(bench.now).hazard is None
-    bench.monitor.take(bench.now, [])
+    bench.monitor.update(bench.now, [])
     assert bench.monitor.vitals(bench.now).hazard is not None
 
 
-def test_a_robot_that_restarts(bench: Bench) -> None:
+def test_a_restart_of_the_robot_is_a_hazard(bench: Bench) -> None:
     bench.run(1.0)
     bench.state["tick"] = 0
     hazard = bench.run(0.002).hazard
     assert hazard is not None
     assert hazard[0] == Reason.RESTARTED
-    assert bench.run(1e-6 * SHOWN).hazard is None
+    assert bench.run(1e-6 * HAZARD_HOLD).hazard is None
 
 
-def test_states_out_of_order_are_left_out(bench: Bench) -> None:
+def test_states_out_of_order_are_skipped(bench: Bench) -> None:
     bench.run(0.1)
     old = encode(bench.state)
     bench.run(0.01)
-    bench.monitor.take(bench.now, [old])
+    bench.monitor.update(bench.now, [old])
     assert bench.monitor.vitals(bench.now).hazard is None
     assert bench.monitor.tick == bench.state["tick"]
 
 
-def test_a_tick_that_overflows_is_no_restart(bench: Bench) -> None:
+def test_a_tick_overflow_is_not_a_restart(bench: Bench) -> None:
     bench.state["tick"] = 2**32 - 20
     for _ in range(20):
         assert bench.run(0.002).hazard is None
@@ -167,7 +167,7 @@ def test_a_tick_that_overflows_is_no_restart(bench: Bench) -> None:
     ("field", "value"),
     [("q", np.nan), ("dq", np.inf), ("tau_est", -np.inf)],
 )
-def test_readings_that_are_not_finite(bench: Bench, field: str, value: float) -> None:
+def test_readings_that_are_not_finite_are_a_hazard(bench: Bench, field: str, value: float) -> None:
     bench.run(0.1)
     bench.state["motor_state"][field][7] = value
     hazard = bench.run(0.002).hazard
@@ -175,20 +175,20 @@ def test_readings_that_are_not_finite(bench: Bench, field: str, value: float) ->
     assert hazard[0] == Reason.NOT_FINITE
 
 
-def test_an_imu_that_sends_zeros(bench: Bench) -> None:
+def test_an_imu_that_sends_zeros_is_a_hazard(bench: Bench) -> None:
     bench.state["imu_state"]["quaternion"] = 0
     hazard = bench.run(0.002).hazard
-    assert hazard == (Reason.NOT_FINITE, "the IMU's quaternion has length 0; it must be 1")
+    assert hazard == (Reason.NOT_FINITE, "the IMU's quaternion has norm 0; it must be 1")
 
 
-def test_a_motor_that_is_off(bench: Bench) -> None:
+def test_a_motor_that_is_off_is_a_hazard(bench: Bench) -> None:
     bench.run(0.1)
     bench.state["motor_state"]["mode"][5] = 0
     assert bench.run(0.002).hazard == (Reason.MOTOR_OFF, "FL_calf_joint is off (mode 0)")
 
 
-def test_a_motor_whose_messages_are_lost(bench: Bench) -> None:
-    assert bench.run(1.0).hazard is None  # counts of 5 to 12, steady
+def test_lost_messages_of_a_motor_are_a_hazard(bench: Bench) -> None:
+    assert bench.run(1.0).hazard is None  # constant counts of 5 to 12
     count, hazard = 0, None
     while hazard is None:
         count += 1
@@ -196,10 +196,10 @@ def test_a_motor_whose_messages_are_lost(bench: Bench) -> None:
         hazard = bench.run(0.002).hazard
     assert hazard[0] == Reason.MOTOR_OFF
     assert "FL_hip_joint has lost 10 messages" in hazard[1]
-    assert LOST_RISE <= count < 2 * LOST_RISE  # the count begins anew five times a second
+    assert MAX_LOST <= count < 2 * MAX_LOST  # counting restarts five times per second
 
 
-def test_messages_of_a_motor_that_are_lost_now_and_then(bench: Bench) -> None:
+def test_occasional_lost_messages_of_a_motor_are_tolerated(bench: Bench) -> None:
     for _ in range(20):
         bench.state["motor_state"]["lost"][3] += 1
         assert bench.run(0.1).hazard is None
@@ -207,7 +207,7 @@ def test_messages_of_a_motor_that_are_lost_now_and_then(bench: Bench) -> None:
 
 def test_the_remote_control(bench: Bench) -> None:
     def press(*buttons: str, stick: float = 0.0) -> Vitals:
-        bench.state["wireless_remote"] = Remote(frozenset(buttons), 0.0, 0.0, stick, 0.0).encode()
+        bench.state["wireless_remote"] = RemoteControl(frozenset(buttons), 0.0, 0.0, stick, 0.0).encode()
         return bench.run(0.002)
 
     assert press("L2").hazard is None

@@ -1,4 +1,4 @@
-"""Types of a Go2's topics: DDS tells readers and writers by their identifiers whether they match."""
+"""IDL types of a Go2's topics: DDS matches readers and writers by the identifiers of types."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""surefoot's messages and services with a robot of the vendor's classes: `tests/vendor_go2.py`, in a process."""
+"""Messages and services with a robot that uses the vendor's classes: `tests/vendor_go2.py`, in another process."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_a_robot_of_the_vendors_classes_reads_and_writes_the_same_messages() -> 
     motors["kp"], motors["kd"] = 20.0, 1.0
 
     def move(angle: float, valid: bool) -> np.ndarray:
-        """Command the front left leg outwards for .2 s; return the hips' angles in the last state."""
+        """Command the front left leg outward for 0.2 s; return the hip angles in the last state."""
         motors["q"] = goal + np.where(np.arange(12) == 3, angle, 0.0)
         for _ in range(20):
             data = low_level.encode(command)

@@ -1,4 +1,4 @@
-"""The C header: it compiles without a warning, and encodes and decodes as Python does."""
+"""The C header compiles without a warning, and encodes and decodes like Python."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def c_examples() -> str:
 
 
 def warnings_of(source: Path, *options: str, compiler: str | None = CC) -> str:
-    """Return a compiler's messages on a file, with warnings as errors; without `-o` only its syntax is checked."""
+    """Return a compiler's messages for a file, with warnings as errors; without `-o`, only the syntax is checked."""
     words = [str(compiler), *STRICT, *(options or ["-std=c11"]), f"-I{ROOT / 'docs'}", f"-I{source.parent}"]
     if "-o" not in options:
         words.append("-fsyntax-only")
@@ -96,7 +96,7 @@ def compile_program(folder: Path, *options: str) -> Path:
 
 @pytest.fixture(scope="module")
 def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Compiled with the compiler's watch over memory and undefined behaviour, where it has one."""
+    """Program compiled with sanitizers for memory and undefined behaviour, if the compiler has them."""
     folder = tmp_path_factory.mktemp("c")
     watch = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     (folder / "try.c").write_text("int main(void) { return 0; }\n")
@@ -136,7 +136,7 @@ def test_the_command_prints_or_writes_it(tmp_path: Path, capsys: pytest.CaptureF
         (["--out", "/none/wire.h"], "No such file or directory"),
     ],
 )
-def test_the_command_refuses_a_number_of_motors_or_a_folder(
+def test_the_command_rejects_a_wrong_number_of_motors_or_a_folder(
     words: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ):
     with pytest.raises(SystemExit) as stop:
@@ -193,7 +193,7 @@ def test_a_wrong_size_does_not_compile(tmp_path: Path, standard: str):
     assert "surefoot_state" in warnings_of(source, f"-std={standard}")
 
 
-# Both sides say the same.
+# C and Python agree.
 
 
 @needs_cc
@@ -224,7 +224,7 @@ def test_frames_of_python_give_the_fields_in_c(program: Path):
 
 
 def random_frames(count: int, seed: int) -> list[bytes]:
-    """Frames of every kind with random bits in their payloads, texts full and empty."""
+    """Return frames of every type with random payloads, and full and empty texts."""
     rng = random.Random(seed)
     frames = []
     for _ in range(count):
@@ -243,7 +243,7 @@ def random_frames(count: int, seed: int) -> list[bytes]:
 
 
 @needs_cc
-def test_thousands_of_frames_go_through_c_and_come_back_the_same(program: Path):
+def test_thousands_of_frames_pass_through_c_unchanged(program: Path):
     stream = b"".join(random_frames(3000, seed=1))
     again, counts = run(program, "again", stream)
     assert again == stream
@@ -255,11 +255,13 @@ def whole_frame(body: bytes) -> bytes:
 
 
 def odd_frames(rng: random.Random) -> list[bytes]:
-    """Return whole frames that are foreign, unknown or too short."""
+    """Return complete frames that are foreign, unknown or too short."""
     schema = CODEC.schema
     made = []
-    for version, foreign in [(VERSION, schema ^ 1), (2, schema), (0, 0)]:
-        made.append(whole_frame(HEADER.pack(version, 2, foreign, 1, 2) + rng.randbytes(rng.randrange(300))))
+    for version, third_party_policies in [(VERSION, schema ^ 1), (2, schema), (0, 0)]:
+        made.append(
+            whole_frame(HEADER.pack(version, 2, third_party_policies, 1, 2) + rng.randbytes(rng.randrange(300)))
+        )
     for code, size in [(0, 0), (2, 0), (2, 3), (2, 5), (67, 129), (67, 131), (200, 0), (200, 4)]:
         made.append(whole_frame(HEADER.pack(VERSION, code, schema, 1, 2) + rng.randbytes(size)))
     made += [whole_frame(HEADER.pack(2, 2, schema, 1, 2) + b"\7" * size) for size in range(990, 1005)]
@@ -280,11 +282,11 @@ def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak:
     )
     decoder, expected = Decoder(CODEC), []
     for at in range(len(stream)):
-        foreign = decoder.statistics.foreign
+        third_party_policies = decoder.statistics.foreign
         for frame in decoder.feed(stream[at : at + 1]):
             payload = CODEC.pack(frame.message)
             expected.append((NUMBERS[type(frame.message)], frame.sequence, round(frame.time * 1e6), payload))
-        if decoder.statistics.foreign > foreign:
+        if decoder.statistics.foreign > third_party_policies:
             expected.append(("foreign", *decoder.foreign))
     output, counts = run(program, "list", stream)
     decoded = []
@@ -303,7 +305,7 @@ def test_both_find_the_same_frames_in_a_damaged_stream(program: Path, link_soak:
 
 
 @needs_cc
-def test_cobs_and_crc32_are_those_of_the_libraries(program: Path):
+def test_cobs_and_crc32_agree_with_the_libraries(program: Path):
     rng = random.Random(3)
     texts = [
         b"",
@@ -330,7 +332,7 @@ def unstuff(data: bytes) -> bytes:
 
 
 @needs_cc
-def test_c_and_python_refuse_invalid_cobs(program: Path):
+def test_c_and_python_reject_invalid_cobs(program: Path):
     rng = random.Random(4)
     texts = [rng.randbytes(rng.randrange(12)) for _ in range(3000)]
     texts += [bytes(rng.choices((0, 1, 2, 3, 255), [1, 9, 9, 9, 1], k=rng.randrange(20))) for _ in range(3000)]

@@ -1,4 +1,4 @@
-"""The page and the test vectors of the wire protocol agree with the definitions."""
+"""Page and test vectors of the wire protocol agree with the definitions."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from surefoot.deploy.serial.port import BAUD
 
 
 def rows(text: str) -> list[list[str]]:
-    """The cells of a part's tables, without their heads."""
+    """Return the cells of the tables in a text, without their headers."""
     lines = re.findall(r"^\| (.*?) ?\|$", text, re.M)
     return [[cell.strip() for cell in line.replace("\\|", "!").split(" |")] for line in lines if re.match(r"\d", line)]
 
 
-def test_every_field_of_every_message_stands_in_the_tables():
+def test_every_field_of_every_message_is_in_the_tables():
     expected = []
     for kind in MESSAGES:
         offset = 0
@@ -39,15 +39,15 @@ def test_every_field_of_every_message_stands_in_the_tables():
 
 
 @pytest.mark.parametrize(("name", "numbers"), [("Modes", Mode), ("Reasons", Reason)])
-def test_every_mode_and_reason_stands_in_the_tables(name: str, numbers: type[Mode | Reason]):
+def test_every_mode_and_reason_is_in_the_tables(name: str, numbers: type[Mode | Reason]):
     assert rows(part(name)) == [[str(int(one)), one.name, one.meaning] for one in numbers]
 
 
-# What a firmware's author reads.
+# Statements for authors of firmware.
 
 
 def test_state_and_command_at_200_hz_take_under_half_of_the_line():
-    # 155 + 59 bytes of ten bits, 200 times a second.
+    # 155 + 59 bytes of ten bits, 200 times per second.
     assert frame_bytes(Codec(8), State) == 1 + 1 + 18 + 130 + 4 + 1 == 155
     assert frame_bytes(Codec(8), Position) == 1 + 1 + 18 + 34 + 4 + 1 == 59
     assert round((155 + 59) * 10 * 200 / BAUD, 3) == 0.464
@@ -55,7 +55,7 @@ def test_state_and_command_at_200_hz_take_under_half_of_the_line():
         assert text in part("Bandwidth")
 
 
-def test_the_hash_of_page_and_vectors_is_that_of_the_text_in_the_vectors():
+def test_the_schema_hash_agrees_with_the_text_in_the_vectors():
     canonical = "".join(f"{line}\n" for line in VECTORS["schema_text"])
     schema = int.from_bytes(hashlib.sha256(canonical.encode()).digest()[:4], "little")
     assert schema == Codec(VECTORS["motors"]).schema
@@ -66,7 +66,7 @@ def test_the_hash_of_page_and_vectors_is_that_of_the_text_in_the_vectors():
     assert canonical.startswith(beginning)
 
 
-def test_the_vectors_are_frames_with_the_values_beside_them():
+def test_the_vectors_are_frames_with_their_values():
     assert [type(example.message) for example in EXAMPLES] == list(MESSAGES)
     for vector, example in zip(VECTORS["frames"], EXAMPLES, strict=True):
         kind = type(example.message)
@@ -99,7 +99,7 @@ def test_offsets_go_without_gaps_to_the_size_in_the_title():
         assert [end - start for start, end in zip(offsets, [*offsets[1:], size], strict=True)] == sizes
 
 
-def test_the_prose_has_the_numbers_of_the_definitions():
+def test_numbers_in_the_text_agree_with_the_definitions():
     prose = TEXT.replace(part("Messages"), "").replace(part("Reasons"), "")
     prose = re.sub(r"^\| \d.*\n", "", prose, flags=re.M)
     assert f"{BAUD:,} baud" in prose

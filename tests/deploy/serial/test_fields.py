@@ -1,4 +1,4 @@
-"""Numbers and texts as bytes: bytes worked out by hand, and values at the edges."""
+"""Encoding of numbers and texts: bytes worked out by hand, and boundary values."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ WIRES = dict(
     words=FieldEncoding("text", length=5, cut=True),
 )
 Sample = make_dataclass("Sample", WIRES)
-"""One field of every sort."""
+"""One field of every type."""
 SAMPLE: dict[str, Any] = dict(
     small=7,
     sign=-2,
@@ -53,7 +53,7 @@ BYTES = bytes.fromhex(
     "70 17 00 00"  # 6000 microseconds
     "DC 05 FF FF"  # 1500, -1
     "01 FF"
-    "00 00 00 3F  00 00 00 C0  00 00 00 00"  # .5, -2, 0
+    "00 00 00 3F  00 00 00 C0  00 00 00 00"  # 0.5, -2, 0
     "61 62 00 00"
     "78 00 79 7A"
     "68 65 6C 6C 6F"
@@ -66,11 +66,11 @@ def sample(**changes: Any) -> Any:
 
 
 def transmit(**changes: Any) -> Any:
-    """Return what arrives of a sample."""
+    """Return a sample after encoding and decoding."""
     return LAYOUT.unpack(LAYOUT.pack(sample(**changes)))
 
 
-def test_a_message_and_its_bytes_are_those_worked_out_by_hand():
+def test_a_message_is_encoded_as_worked_out_by_hand():
     assert LAYOUT.pack(sample()) == BYTES
     assert LAYOUT.struct.size == len(BYTES) == 47
     arrived = LAYOUT.unpack(BYTES)
@@ -126,7 +126,7 @@ def test_a_scaled_number_is_rounded_and_clipped(value: float, arrives: float):
     [
         *((value, 4294.967295) for value in (4294.967295, 4295.0, math.inf)),
         *((value, 0.0) for value in (-1e-9, -1.0, math.nan)),
-        # Times are compared with numbers such as .006 on both sides: whole microseconds arrive as the same double.
+        # Both sides compare times with numbers such as 0.006, so whole microseconds must arrive as the same double.
         *((float(f"{number}e-6"),) * 2 for number in (1, 3, 1000, 3000, 6000, 1_000_001, 2**32 - 1)),
     ],
 )
@@ -143,7 +143,7 @@ def test_every_scaled_number_is_exact(number: int):
 
 
 @given(st.floats(), st.floats())
-def test_no_float_is_refused_in_a_scaled_field(first: float, second: float):
+def test_no_float_is_rejected_in_a_scaled_field(first: float, second: float):
     torque = transmit(torque=[first, second], time=first).torque
     assert np.all((torque >= -32.768) & (torque <= 32.767))
 
@@ -152,12 +152,12 @@ def test_no_float_is_refused_in_a_scaled_field(first: float, second: float):
 
 
 @given(st.floats(width=32))
-def test_a_single_arrives_unchanged(value: float):
+def test_a_32_bit_float_arrives_unchanged(value: float):
     assert struct.pack("<d", transmit(real=value).real) == struct.pack("<d", value) or math.isnan(value)
 
 
 GREATEST = (2 - 2.0**-23) * 2.0**127  # of 32 bits
-ABOVE = math.nextafter((2 - 2.0**-24) * 2.0**127, 0.0)  # the greatest double that still rounds to it
+ABOVE = math.nextafter((2 - 2.0**-24) * 2.0**127, 0.0)  # the largest double that is rounded to it
 
 
 @pytest.mark.parametrize(
@@ -170,15 +170,17 @@ ABOVE = math.nextafter((2 - 2.0**-24) * 2.0**127, 0.0)  # the greatest double th
         (1e-60, 0.0),
     ],
 )
-def test_a_number_too_large_for_32_bits_is_infinite(value: float, arrives: float):
+def test_a_number_beyond_32_bits_becomes_infinite(value: float, arrives: float):
     arrived = transmit(real=value, angles=[ABOVE, value, 1.0])
     assert arrived.real == arrives
     assert arrived.angles.tolist() == [GREATEST, arrives, 1.0]
-    assert transmit(angles=[value, 1e39, 1.0]).angles[0] == arrives  # a neighbour that does not fit changes nothing
+    assert (
+        transmit(angles=[value, 1e39, 1.0]).angles[0] == arrives
+    )  # an entry out of range does not affect its neighbours
 
 
 @given(st.lists(st.floats(), min_size=3, max_size=3))
-def test_no_float_is_refused_in_a_single(values: list[float]):
+def test_no_float_is_rejected_in_a_32_bit_field(values: list[float]):
     with np.errstate(over="ignore"):
         expected = np.array(values).astype(np.float32)
     np.testing.assert_array_equal(transmit(angles=values).angles, expected.astype(np.float64))
@@ -190,7 +192,7 @@ def test_no_float_is_refused_in_a_single(values: list[float]):
 @pytest.mark.parametrize(
     ("field", "least", "greatest"), [("small", 0, 255), ("sign", -128, 127), ("large", 0, 2**32 - 1)]
 )
-def test_whole_numbers_arrive_within_their_range_and_are_refused_beyond(field: str, least: int, greatest: int):
+def test_integers_arrive_within_their_range_and_are_rejected_beyond(field: str, least: int, greatest: int):
     for value in (least, greatest):
         arrived = getattr(transmit(**{field: value}), field)
         assert arrived == value
@@ -207,7 +209,7 @@ def test_an_array_may_be_any_sequence(kind: Any):
 
 @pytest.mark.parametrize("value", [[1.0], [1.0, 2.0, 3.0], [], 1.0, np.float64(1.0), [[1.0, 2.0]], [[1.0], [2.0]]])
 @pytest.mark.parametrize("field", ["torque", "signs"])
-def test_an_array_of_another_shape_is_refused(field: str, value: Any):
+def test_an_array_with_a_wrong_shape_is_rejected(field: str, value: Any):
     with pytest.raises(ValueError, match=rf"{field} has|Sample"):
         LAYOUT.pack(sample(**{field: value}))
 
@@ -219,7 +221,7 @@ def test_an_array_of_another_shape_is_refused(field: str, value: Any):
         *((field, None) for field in ("real", "time", "small", "angles")),
     ],
 )
-def test_a_value_that_is_no_number_of_its_field_is_refused(field: str, value: Any):
+def test_a_value_of_the_wrong_type_is_rejected(field: str, value: Any):
     with pytest.raises(ValueError, match=r"Sample|NaN|invalid literal|entries"):
         LAYOUT.pack(sample(**{field: value}))
 
@@ -231,41 +233,41 @@ def test_a_value_that_is_no_number_of_its_field_is_refused(field: str, value: An
     ("field", "text", "arrives"),
     [
         *(("name", text, text) for text in ("abcd", "", "äß")),  # two bytes each
-        # A text that may be cut ends before the character that does not fit.
+        # A truncated text ends before the character that does not fit.
         *(("words", "hello, robot", "hello"), ("words", "aaaaä", "aaaa"), ("words", "äää", "ää")),
         *(("words", "€€", "€"), ("words", "aa😀", "aa")),
     ],
 )
-def test_a_text_may_fill_its_field_or_be_cut(field: str, text: str, arrives: str):
+def test_a_text_may_fill_its_field_or_is_truncated(field: str, text: str, arrives: str):
     assert getattr(transmit(**{field: text}), field) == arrives
 
 
 @pytest.mark.parametrize(
     ("field", "value", "match"),
     [
-        ("name", "abcde", "name is 'abcde'; it may have 4 bytes"),
-        ("name", "aäß", "name is 'aäß'; it may have 4 bytes"),
+        ("name", "abcde", "name is 'abcde'; it may have at most 4 bytes"),
+        ("name", "aäß", "name is 'aäß'; it may have at most 4 bytes"),
         ("names", ("x", "xyz"), "names is 'xyz'"),
         ("names", ("x",), "names has 1 entries; it must have 2"),
     ],
 )
-def test_a_text_too_long_or_too_few_texts_are_refused(field: str, value: Any, match: str):
+def test_texts_that_are_too_long_or_too_few_are_rejected(field: str, value: Any, match: str):
     with pytest.raises(ValueError, match=match):
         LAYOUT.pack(sample(**{field: value}))
 
 
 def test_a_text_ends_at_its_first_zero():
-    # Firmware may leave anything behind it.
+    # Bytes after the zero may have any value.
     assert LAYOUT.unpack(BYTES[:34] + b"a\0\xff\xfe" + BYTES[38:]).name == "a"
 
 
 @pytest.mark.parametrize("raw", [b"\xff\0\0\0", b"a\xc3\0\0", b"\xed\xa0\x80a"])
-def test_bytes_that_are_no_text_are_refused(raw: bytes):
+def test_bytes_that_are_not_text_are_rejected(raw: bytes):
     with pytest.raises(ValueError, match="decode"):
         LAYOUT.unpack(BYTES[:34] + raw + BYTES[38:])
 
 
 @pytest.mark.parametrize("size", [0, 1, 46, 48, 94])
-def test_another_number_of_bytes_is_refused(size: int):
+def test_a_payload_with_another_size_is_rejected(size: int):
     with pytest.raises(ValueError, match=f"Sample has {size} bytes; it must have 47"):
         LAYOUT.unpack((BYTES * 2)[:size])

@@ -1,4 +1,4 @@
-"""Frames on a line: bytes worked out by hand, and a decoder that finds every whole frame in any stream."""
+"""Frames on a line: bytes worked out by hand, and a decoder that finds every complete frame in any stream."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PONG = encode_frame(CODEC, Pong(7), 3, 0.002)
 
 
 def crc32(data: bytes) -> bytes:
-    """Return the CRC-32 by the document, a bit at a time."""
+    """Return the CRC-32 as documented, bit by bit."""
     crc = 0xFFFFFFFF
     for byte in data:
         crc ^= byte
@@ -33,7 +33,7 @@ def crc32(data: bytes) -> bytes:
 
 
 def cobs(data: bytes) -> bytes:
-    """Return the COBS of bytes by the document, a piece at a time."""
+    """Return the COBS encoding of bytes as documented, block by block."""
     out = b""
     pieces = data.split(b"\0")
     for number, piece in enumerate(pieces, 1):
@@ -67,7 +67,7 @@ def decode(data: bytes) -> tuple[list[int], LinkStatistics]:
 # Known bytes.
 
 
-def test_cobs_and_crc32_are_those_of_the_document():
+def test_cobs_and_crc32_agree_with_the_document():
     assert crc32(b"123456789") == bytes.fromhex("26 39 F4 CB")
     run = bytes([0x11]) * 254
     for data, stuffed in [
@@ -117,7 +117,7 @@ def test_every_kind_of_frame_is_as_documented(example: Example):
 
 
 @pytest.mark.parametrize("motors", [8, 21])
-def test_a_frame_has_254_bytes_without_a_zero_and_the_largest_robots_fits(motors: int):
+def test_frames_with_254_bytes_without_a_zero_and_of_the_largest_robot_fit(motors: int):
     codec, full = Codec(motors), np.full(motors, 1.2345678)
     names = tuple(chr(97 + motor) * 24 for motor in range(motors))
     times, limits = (0.12, full, full, 0.1, 0.1), (full, full, *[1.2345] * 5)
@@ -127,7 +127,7 @@ def test_a_frame_has_254_bytes_without_a_zero_and_the_largest_robots_fits(motors
     data = encode_frame(codec, message, 5, 6e-6)
     assert data == frame_of(body)
     assert numbers(Decoder(codec).feed(data)) == [5]
-    # A motor takes 41 bytes of it: name, sign, gains and range.
+    # Each motor takes 41 bytes: name, sign, gains and range.
     assert (MAX_FRAME - 41 < frame_bytes(codec, Handshake) - 2 <= MAX_FRAME) == (motors == 21)
 
 
@@ -166,19 +166,19 @@ def test_a_time_is_rounded_and_clipped(time: float, arrives: float):
 # Damage.
 
 
-def test_frames_may_stand_close_or_far_or_share_their_zeros():
+def test_frames_may_be_close_or_far_apart_or_share_zeros():
     for stream in (PING + PONG, PING + bytes(1000) + PONG, PING[:-1] + PONG, PING[1:] + PONG[:-1] + b"\0"):
         assert decode(stream) == ([2, 3], LinkStatistics(received=2))
 
 
-def test_zeros_alone_are_no_frames():
+def test_zeros_without_data_are_not_frames():
     assert decode(b"") == decode(bytes(5000)) == ([], LinkStatistics())
 
 
 @pytest.mark.parametrize("cut", range(len(PING) + 1))
-def test_a_frame_whose_end_or_start_is_cut_leaves_the_next_one_whole(cut: int):
+def test_a_frame_cut_at_its_start_or_end_does_not_damage_the_next_one(cut: int):
     sequences, counts = decode(PING[:cut] + PONG)
-    whole = cut >= len(PING) - 1  # the next frame's zero ends it, too
+    whole = cut >= len(PING) - 1  # the next frame's zero also ends it
     assert sequences == ([2, 3] if whole else [3])
     assert counts.damaged == (not whole and cut > 1)
     sequences, counts = decode(PING[cut:] + PONG)
@@ -187,7 +187,7 @@ def test_a_frame_whose_end_or_start_is_cut_leaves_the_next_one_whole(cut: int):
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda example: type(example.message).__name__)
-def test_a_flipped_bit_damages_one_frame_alone(example: Example):
+def test_a_flipped_bit_damages_only_one_frame(example: Example):
     data = example.data
     for at, bit in itertools.product(range(len(data)), range(8)):
         flipped = bytearray(data)
@@ -227,7 +227,7 @@ def test_garbage_between_frames_is_counted_and_costs_no_frame():
 
 
 @pytest.mark.parametrize("body", [b"", b"\0" * 17, header(2)[:17]])
-def test_a_checksum_alone_makes_no_frame(body: bytes):
+def test_a_checksum_without_payload_is_not_a_frame(body: bytes):
     sequences, counts = decode(frame_of(body) + PONG)
     assert sequences == [3]
     assert counts.damaged == 1
@@ -245,7 +245,7 @@ def test_a_frame_of_another_version_or_schema_is_foreign(version: int, schema: i
     assert decoder.foreign == (version, schema)
 
 
-def test_a_foreign_frame_is_recognized_up_to_the_longest():
+def test_foreign_frames_are_recognized_up_to_the_maximum_size():
     for size in range(980, 1010):
         data = frame_of(header(NUMBERS[Ping], version=2) + b"\7" * size)
         whole = len(data) - 2 <= MAX_FRAME
@@ -268,7 +268,7 @@ def test_a_foreign_frame_is_recognized_up_to_the_longest():
         header(NUMBERS[Fault]) + b"\1\0\1" + b"\xff" * 80,
     ],
 )
-def test_a_type_a_length_or_a_text_that_does_not_exist_is_unknown(body: bytes):
+def test_a_frame_with_an_unknown_type_length_or_text_is_unknown(body: bytes):
     sequences, counts = decode(frame_of(body) + PONG)
     assert sequences == [3]
     assert (counts.unknown, counts.damaged, counts.foreign) == (1, 0, 0)
@@ -278,29 +278,29 @@ def test_a_type_a_length_or_a_text_that_does_not_exist_is_unknown(body: bytes):
 
 
 @pytest.mark.parametrize(("size", "held"), [(MAX_FRAME - 1, True), (MAX_FRAME, True), (MAX_FRAME + 1, False)])
-def test_a_piece_beyond_the_limit_is_not_kept(size: int, held: bool):
+def test_data_beyond_the_limit_are_not_buffered(size: int, held: bool):
     for step in (size, 1, 100):
         decoder = Decoder(CODEC)
         for at in range(0, size, step):
             decoder.feed(b"x" * min(step, size - at))
-        assert len(decoder._held) == (size if held else 0)
+        assert len(decoder._buffer) == (size if held else 0)
         assert numbers(decoder.feed(PONG)) == [3]
         assert decoder.statistics.damaged == 1
 
 
-def test_a_line_that_never_ends_is_one_damaged_piece_and_takes_no_memory():
+def test_endless_data_count_as_one_damaged_frame_and_use_no_memory():
     decoder = Decoder(CODEC)
     for size in (1, 100, 1000, 5_000_000, 7, 1024, 1025):
         assert decoder.feed(b"\xaa" * size) == []
-        assert sys.getsizeof(decoder._held) < 2 * MAX_FRAME
+        assert sys.getsizeof(decoder._buffer) < 2 * MAX_FRAME
     assert decoder.statistics.damaged == 0
-    # A frame without a zero in front is lost with it.
+    # A frame without a leading zero is lost together with it.
     assert numbers(decoder.feed(PING[1:] + PONG)) == [3]
     assert decoder.statistics.damaged == 1
 
 
 @pytest.mark.parametrize("kind", [bytes, bytearray, memoryview])
-def test_bytes_may_come_in_any_form(kind: type):
+def test_bytes_may_have_any_type(kind: type):
     assert numbers(Decoder(CODEC).feed(kind(PING))) == [2]
 
 
@@ -315,10 +315,10 @@ PIECES = st.one_of(
 
 
 @given(st.binary(max_size=4000))
-def test_no_bytes_raise_or_pass(data: bytes):
+def test_random_bytes_neither_raise_nor_pass(data: bytes):
     decoder = Decoder(CODEC)
     decoder.feed(data)
-    assert len(decoder._held) <= MAX_FRAME
+    assert len(decoder._buffer) <= MAX_FRAME
     assert decoder.statistics.received == 0
 
 
@@ -331,7 +331,7 @@ def test_the_split_of_a_stream_changes_nothing(pieces: list[bytes], data: st.Dat
     split, bytewise = [], []
     for start, end in itertools.pairwise([0, *cuts, len(stream)]):
         split += parts.feed(stream[start:end])
-        assert len(parts._held) <= MAX_FRAME
+        assert len(parts._buffer) <= MAX_FRAME
     for byte in stream:
         bytewise += single.feed(bytes([byte]))
     for frames, decoder in ((split, parts), (bytewise, single)):
@@ -341,8 +341,8 @@ def test_the_split_of_a_stream_changes_nothing(pieces: list[bytes], data: st.Dat
 
 
 @given(st.lists(st.one_of(st.sampled_from(EXAMPLES), st.binary(max_size=50)), max_size=12))
-def test_every_whole_frame_between_any_garbage_is_found(pieces: list[Example | bytes]):
-    # Garbage makes no frame but with a chance of 2^-32.
+def test_every_complete_frame_between_garbage_is_found(pieces: list[Example | bytes]):
+    # Garbage is accepted as a frame with a probability of 2^-32.
     stream = b"".join(piece if isinstance(piece, bytes) else piece.data for piece in pieces)
     sequences, _ = decode(stream)
     assert sequences == [piece.sequence for piece in pieces if isinstance(piece, Example)]

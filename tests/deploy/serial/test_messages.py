@@ -71,7 +71,7 @@ def test_a_message_has_the_bytes_worked_out_by_hand(message: Message, payload: s
     assert TWO.pack(TWO.unpack(NUMBERS[type(message)], bytes.fromhex(payload))) == bytes.fromhex(payload)
 
 
-# There and back.
+# Encoding and decoding.
 
 
 def values_of(spec: FieldEncoding) -> st.SearchStrategy[Any]:
@@ -88,7 +88,7 @@ def values_of(spec: FieldEncoding) -> st.SearchStrategy[Any]:
 
 
 def messages(motors: int) -> st.SearchStrategy[Message]:
-    """Return messages of every kind, with any content that fields represent exactly."""
+    """Return random messages of every type, with values that fields represent exactly."""
 
     def field(spec: FieldEncoding) -> st.SearchStrategy[Any]:
         one = values_of(spec)
@@ -116,12 +116,12 @@ def test_unpack_and_pack_are_the_identity_on_every_payload_without_texts(data: s
     message = TWO.unpack(NUMBERS[kind], payload)
     again = TWO.pack(message)
     assert same(TWO.unpack(NUMBERS[kind], again), message)
-    if not any(np.isnan(value).any() for value in vars(message).values()):  # a NaN may come in other bits
+    if not any(np.isnan(value).any() for value in vars(message).values()):  # the bits of a NaN may differ
         assert again == payload
 
 
 @given(st.sampled_from((Position, Pwm)), st.lists(st.floats(), min_size=8, max_size=8))
-def test_no_float_stops_a_command_or_becomes_a_harmless_one(kind: type[Message], values: list[float]):
+def test_values_that_are_not_finite_are_sent_and_stay_invalid(kind: type[Message], values: list[float]):
     arrived = CODEC.unpack(NUMBERS[kind], CODEC.pack(kind(9, np.array(values))))
     for value, arrives in zip(values, arrived.target if kind is Position else arrived.duty, strict=True):
         if math.isfinite(value) and abs(value) < 3e38:
@@ -134,10 +134,10 @@ def test_no_float_stops_a_command_or_becomes_a_harmless_one(kind: type[Message],
 def test_the_temperature_of_an_overheated_motor_saturates():
     message = dataclasses.replace(STATE, temperature=np.array([300.0, -40.0, 89.5, 90.5, 0, 255, 255.4, math.inf]))
     arrived = CODEC.unpack(NUMBERS[State], CODEC.pack(message))
-    assert arrived.temperature.tolist() == [255, 0, 90, 90, 0, 255, 255, 255]  # halves go to the even number
+    assert arrived.temperature.tolist() == [255, 0, 90, 90, 0, 255, 255, 255]  # halves are rounded to the even number
 
 
-def test_the_text_of_a_fault_is_cut():
+def test_the_text_of_a_fault_is_truncated():
     arrived = CODEC.unpack(NUMBERS[Fault], CODEC.pack(Fault(1, Reason.TILT, "ü" * 100)))
     assert arrived.text == "ü" * 40
 
@@ -152,16 +152,16 @@ def test_the_text_of_a_fault_is_cut():
         (Position(1, np.zeros(9)), "target has 9 entries; it must have 8"),
         (Pwm(1, np.zeros((8, 1))), "Pwm"),
         (dataclasses.replace(STATE, dropped=65536), "State"),
-        (dataclasses.replace(EXAMPLES[8].message, robot="a" * 25), "robot is 'a+'; it may have 24 bytes"),
+        (dataclasses.replace(EXAMPLES[8].message, robot="a" * 25), "robot is 'a+'; it may have at most 24 bytes"),
     ],
 )
-def test_a_message_with_a_value_out_of_range_is_refused(message: Message, what: str):
+def test_a_message_with_a_value_out_of_range_is_rejected(message: Message, what: str):
     with pytest.raises(ValueError, match=what):
         CODEC.pack(message)
 
 
 @pytest.mark.parametrize("kind", MESSAGES)
-def test_a_payload_of_another_length_is_no_message(kind: type[Message]):
+def test_a_payload_with_a_wrong_length_is_not_a_message(kind: type[Message]):
     payload = CODEC.pack(next(example.message for example in EXAMPLES if type(example.message) is kind))
     for size in {*range(len(payload)), len(payload) + 1, len(payload) + 100}:
         assert CODEC.unpack(NUMBERS[kind], (payload + bytes(100))[:size]) is None
@@ -195,7 +195,7 @@ def test_the_canonical_text_is_as_documented():
 
 def test_each_number_of_motors_has_its_schema_up_to_the_largest_robot():
     assert len({Codec(motors).schema for motors in range(1, 22)}) == 21
-    # 98 bytes and 41 a motor.
+    # 98 bytes, and 41 per motor.
     assert Codec(21).size(MESSAGES[8]) == 959 <= MAX_PAYLOAD < 959 + 41
     assert sum(spec.count == MOTORS for spec in encodings(MESSAGES[8]).values()) == 6
     with pytest.raises(SurefootError, match="motors is 22"):
@@ -216,7 +216,7 @@ def test_modes_and_reasons_have_their_numbers_and_meanings():
 
 
 @pytest.mark.parametrize("name", RobotDescription.available())
-def test_a_state_carries_the_greatest_torque_of_each_robot(name: str):
+def test_a_state_can_hold_the_maximum_torque_of_each_robot(name: str):
     robot = RobotDescription.load(name)
     actuator, motors = robot.actuator, robot.num_motors
     limit = actuator.torque_limit if actuator.kind == "joint" else max(actuator.torque_table_torque)

@@ -1,4 +1,4 @@
-"""The link on a real pseudo-terminal: nothing blocks, everything is counted, one program at a time."""
+"""The link on a real pseudo-terminal: no call blocks, all frames are counted, one program at a time."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def frame(sequence: int, token: int = 0) -> bytes:
 
 
 def receive(link: SerialLink, count: int) -> list[int]:
-    """Return the numbers of the frames that arrive, `count` at least or all within 30 s."""
+    """Return the numbers of arriving frames: at least `count`, or all within 30 s."""
     sequences: list[int] = []
     end = time.monotonic() + 30.0
     while len(sequences) < count and time.monotonic() < end:
@@ -78,10 +78,10 @@ def handshake_frame(toy, session: int, sequence: int) -> bytes:
     return encode_frame(CODEC, handshake, sequence, 0.0)
 
 
-def test_a_handshake_restarts_the_numbers_once(pty, toy):
+def test_a_handshake_resets_the_sequence_numbers_once(pty, toy):
     link = SerialLink(SerialPort(pty[1]), CODEC, MonotonicClock(), 7)
     link.awaits_handshake = True
-    # One for another operator is a frame like any other, and one that comes twice or late lets nothing old in.
+    # A handshake for another operator is an ordinary frame, and a repeated or late one lets no old frame pass.
     other, own = handshake_frame(toy, 8, 1), handshake_frame(toy, 7, 1)
     os.write(pty[0], frame(900) + other + own + frame(2) + frame(3) + own + frame(2) + frame(4))
     assert receive(link, 5) == [900, 1, 2, 3, 4]
@@ -105,7 +105,7 @@ def test_a_full_port_drops_frames_and_does_not_block(pty):
     assert link.statistics.unsent > 0
 
 
-def test_a_port_whose_other_end_closes_is_lost(pty):
+def test_a_port_is_lost_when_its_other_end_closes(pty):
     master, name = pty
     port = SerialPort(name)
     os.close(master)
@@ -120,9 +120,9 @@ def test_a_port_whose_other_end_closes_is_lost(pty):
         use()
 
 
-def test_a_second_program_is_refused(pty):
+def test_a_second_program_is_rejected(pty):
     port = SerialPort(pty[1])
-    with pytest.raises(SurefootError, match=r"another program has it; one operator at a time$"):
+    with pytest.raises(SurefootError, match=r"another program uses it; only one operator at a time$"):
         SerialPort(pty[1])
     port.close()
     SerialPort(pty[1]).close()
@@ -133,16 +133,16 @@ def test_a_port_that_does_not_exist_is_an_error(tmp_path):
         SerialPort(str(tmp_path / "nothing"))
 
 
-def test_ping_through_waits_for_the_pong_and_keeps_other_packets(toy):
+def test_await_pong_waits_for_the_pong_and_keeps_other_packets(toy):
     link = SerialLink(toy, CODEC, MonotonicClock(), 7)
-    assert link.ping_through((1.0,))
+    assert link.await_pong((1.0,))
     assert [type(arrival.packet.message) for arrival in link.receive()] == [Pong]
     toy.silent = True
-    assert not link.ping_through((0.01,))
+    assert not link.await_pong((0.01,))
 
 
-def test_in_lockstep_packets_are_received_where_time_passes(toy):
-    """Otherwise chance would decide whether an answer has arrived when the program first looks for it."""
+def test_in_lockstep_packets_are_received_only_when_time_advances(toy):
+    """Otherwise it would depend on chance whether an answer has arrived at the first check."""
     clock = LockstepClock()
     link = SerialLink(toy, CODEC, clock, 7)
     link.send(Hello(7, 0.01))
@@ -165,12 +165,12 @@ def test_in_lockstep_a_command_goes_with_the_next_ping(toy):
     assert toy.received[-1][0] == 0.01
 
 
-def test_a_repeated_ping_takes_no_number(toy):
+def test_a_repeated_ping_has_the_same_sequence_number(toy):
     link = SerialLink(toy, CODEC, LockstepClock(), 7)
     toy.silent = True
-    assert not link.ping_through((0.01, 0.01, 0.01))
+    assert not link.await_pong((0.01, 0.01, 0.01))
     assert [message for _, message in toy.received] == 3 * [Ping(1)]
     assert link.statistics.sent == 1
     toy.silent = False
-    assert link.ping_through((1.0,))
+    assert link.await_pong((1.0,))
     assert link.statistics.sent == 2

@@ -1,4 +1,4 @@
-"""What each fault of an emulated Go2 does to its messages and its motors."""
+"""Effects of each fault of an emulated Go2 on its messages and motors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ pytest.importorskip("cyclonedds")
 
 from emulated_go2 import GO2, STANDING, Robot
 
-from surefoot.deploy.dds.low_level import Remote
+from surefoot.deploy.dds.low_level import RemoteControl
 from surefoot.emulator.fault_table import FAULTS
 
 TESTED = {
@@ -22,7 +22,7 @@ TESTED = {
 
 
 def run(fault: str, seconds: float = 0.3, **how: bool) -> Robot:
-    """Return a robot that has run with a fault, commanded from .1 s on to hold a pose."""
+    """Return a robot that has run with a fault, with commands to hold a pose from 0.1 s on."""
     robot = Robot(fault, rack=True, **how)
     robot.run(0.1)
     for _ in range(round(seconds / 0.002)):
@@ -40,7 +40,7 @@ def test_every_fault_of_this_link_is_tested_here_or_as_a_process() -> None:
     assert {name for name, kind in FAULTS.items() if "dds" in kind.links} == TESTED | others
 
 
-def test_faults_on_the_way() -> None:
+def test_faults_in_transit() -> None:
     healthy = run("drop=0")
     assert np.diff(ticks(healthy)).tolist() == [2] * 199
     dropped = len(run("drop=0.5").wire.sent)
@@ -59,7 +59,7 @@ def test_faults_on_the_way() -> None:
     assert len(layouts.states) == pytest.approx(100, abs=3)
 
 
-def test_faults_of_numbers() -> None:
+def test_faults_of_sequence_numbers() -> None:
     frozen = [data for _, data in run("stale-state=0.1").wire.sent]
     assert len(set(frozen[-90:])) == 1
     assert len(set(ticks(run("repeat-sequence=0.1"))[-90:])) == 1
@@ -70,19 +70,19 @@ def test_faults_of_numbers() -> None:
     assert np.isnan(run("not-finite=0.1").wire.state["motor_state"]["q"][0])
 
 
-def test_a_program_that_stands_still_or_starts_anew() -> None:
+def test_a_program_that_hangs_or_restarts() -> None:
     gaps = np.diff(ticks(run("hang=0.1@0.1")))
     assert (gaps.max(), np.sort(gaps)[-2]) == (102, 2)
     robot = run("reboot=0.05", 0.4)
     assert ticks(robot).max() == pytest.approx(150, abs=4)
     assert ticks(robot)[-1] == pytest.approx(1000 * (0.5 - 0.15 - 0.2), abs=4)
-    # A robot that has restarted has forgotten its last command.
-    alone = Robot("reboot=0.05", rack=True)
-    alone.command(q=STANDING, kp=60, kd=5)
-    assert abs(alone.run(1.0)["motor_state"]["tau_est"]).max() == 0
+    # A restarted robot has lost its last command.
+    restarted = Robot("reboot=0.05", rack=True)
+    restarted.command(q=STANDING, kp=60, kd=5)
+    assert abs(restarted.run(1.0)["motor_state"]["tau_est"]).max() == 0
 
 
-def test_faults_of_motors_and_wiring() -> None:
+def test_faults_of_motors_and_wiring_act_on_joint_commands() -> None:
     q = run("drop=0", 0.6).wire.state["motor_state"]["q"][:12]
     np.testing.assert_allclose(q, STANDING, atol=0.03)
     swapped = run("swap-motors=1", 0.6).wire.state["motor_state"]["q"][:12]
@@ -103,7 +103,7 @@ def test_faults_of_motors_and_wiring() -> None:
     assert low[-1]["bms_state"]["cell_vol"][0] < low[0]["bms_state"]["cell_vol"][0] - 180
 
 
-def test_an_imu_that_is_mounted_wrongly_measures_gravity_as_it_states_its_attitude() -> None:
+def test_a_wrongly_mounted_imu_has_consistent_gravity_and_orientation() -> None:
     leaning = STANDING.copy()
     leaning[[2, 5, 8]] = -1.6, -1.45, -1.45  # front and right legs are shorter
     for way in range(4):
@@ -117,20 +117,20 @@ def test_an_imu_that_is_mounted_wrongly_measures_gravity_as_it_states_its_attitu
         np.testing.assert_allclose(imu["accelerometer"], gravity, atol=0.1)
 
 
-def test_others_who_command_and_a_hand_at_the_remote_control() -> None:
+def test_other_programs_and_the_remote_control() -> None:
     writer = run("second-writer=0.1")
     assert len(writer.wire.published) == pytest.approx(100, abs=3)
     assert writer.wire.published[-1]["motor_cmd"]["kp"][:12].tolist() == [5] * 12
-    # From its beginning on, where it is to speak before anybody has commanded.
+    # From the start, if it must act before the first command.
     silent = Robot("second-writer=0", rack=True)
     silent.run(0.1)
     assert len(silent.wire.published) == 50
     back = run("service-back=0.1")
     assert back.controller.name == "mcf"
     assert len(back.wire.published) == pytest.approx(100, abs=3)
-    stop = Remote.decode(run("remote-stop=0.1").wire.state["wireless_remote"])
+    stop = RemoteControl.decode(run("remote-stop=0.1").wire.state["wireless_remote"])
     assert stop.buttons == {"L2", "B"}
-    assert Remote.decode(run("remote-stick=0.1").wire.state["wireless_remote"]).left_y == pytest.approx(0.8)
+    assert RemoteControl.decode(run("remote-stick=0.1").wire.state["wireless_remote"]).left_y == pytest.approx(0.8)
     assert not run("remote-stick=9").wire.state["wireless_remote"].any()
 
 

@@ -1,4 +1,4 @@
-"""The emulated Go2's own controller: modes, postures, and who commands the motors."""
+"""The emulated Go2's own controller: modes, postures, and motor commands."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.deploy.dds.services import BAD_PARAMETER, mode_name
 from surefoot.emulator.dds.own_controller import NOT_ACTIVE, OwnController
 
 
-def test_modes() -> None:
+def test_modes_of_the_own_controller() -> None:
     controller, still = OwnController(), np.zeros(12)
     assert mode_name(controller.check_mode("")[1]) == ""
     assert controller.command(0, still) is None
@@ -27,13 +27,13 @@ def test_modes() -> None:
     assert mode_name(controller.check_mode("")[1]) == "mcf"
     motors = controller.command(0, still)["motor_cmd"][:12]
     assert (motors["kp"].max(), motors["kd"].min()) == (0, 3)
-    # Released, it lets a robot that stands sink: a last command damps the motors.
+    # After its release a standing robot sinks: the last command damps the motors.
     controller.release_mode("")
     assert controller.command(2000, still)["motor_cmd"]["kp"].max() == 0
     assert controller.command(4000, still) is None
-    assert not controller.wedged
+    assert not controller.blocked
     controller.select_mode('{"name": "normal"}')
-    assert controller.wedged
+    assert controller.blocked
 
 
 def test_it_stands_up_lies_down_and_drops_when_damped() -> None:
@@ -52,11 +52,11 @@ def test_it_stands_up_lies_down_and_drops_when_damped() -> None:
     robot.controller.damp()
     robot.run(1.0)
     assert robot.height < 0.2
-    # It has commanded the motors at 500 Hz all the time.
+    # It has commanded the motors at 500 Hz throughout.
     assert len(robot.wire.published) == 500 * 7.8
 
 
-def test_motors_twitch_between_its_commands_and_those_of_a_program() -> None:
+def test_motors_alternate_between_commands_of_two_programs() -> None:
     robot = Robot(rack=True)
     robot.controller.activate()
     robot.run(0.1)
@@ -64,7 +64,7 @@ def test_motors_twitch_between_its_commands_and_those_of_a_program() -> None:
     for _ in range(200):
         robot.command(q=STANDING, kp=60, kd=1)
         torques.append(robot.run(0.002)["motor_state"]["tau_est"][1])
-    # It damps, the program pulls: about half of all servo steps belong to each.
+    # It damps the motors, the other program moves them: each gets about half of all servo steps.
     jumps = np.abs(np.diff(torques)) > 2
     assert 0.2 < jumps.mean() < 0.8
     robot.controller.release_mode("")

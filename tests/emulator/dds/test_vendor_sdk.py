@@ -1,4 +1,4 @@
-"""Programs made of the vendor's SDKs (`vendor_clients.py`) against an emulated Go2 that runs as a process."""
+"""Programs that use the vendor's SDKs (`vendor_clients.py`), with an emulated Go2 in another process."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ CLIENTS = Path(__file__).parents[2] / "vendor_clients.py"
 
 
 def client(*words: object) -> dict[str, Any]:
-    """Run a program to its end; return what it states, and how many wrong checksums the C++ SDK reported."""
+    """Run a program; return its output, and the number of wrong checksums reported by the C++ SDK."""
     command = [sys.executable, CLIENTS, *map(str, words)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     return {**json.loads(done.stdout.splitlines()[-1]), "crc_errors": (done.stdout + done.stderr).count("CRC Error")}
@@ -43,7 +43,7 @@ def go2(emulate: Callable[..., Emulator]) -> Callable[..., Emulator]:
 
 @pytest.fixture
 def domain_0() -> Iterator[int]:
-    """Give the only domain that the C++ SDK knows to one test of the computer at a time."""
+    """Reserve the only domain that the C++ SDK supports for one test at a time on this computer."""
     with (Path(tempfile.gettempdir()) / "surefoot-dds-domain-0.lock").open("w") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         yield 0
@@ -55,7 +55,7 @@ def test_the_vendors_cpp_sdk_reads_states_and_stands_the_robot_up(go2, domain_0:
     robot = go2(domain_0)
     read = client("read", 500)
     assert (read["crc_errors"], read["states"]) == (0, 500)
-    # The SDK keeps the newest state only: some are lost between two looks, which hardly moves the median.
+    # The SDK keeps only the newest state: some are lost between polls, which hardly affects the median.
     assert read["gap_ms"]["median"] == pytest.approx(2.0, abs=0.2)
     np.testing.assert_allclose(read["accelerometer"], [0, 0, 9.81], atol=0.3)
     q = client("stand")["q"]
@@ -82,7 +82,7 @@ def test_the_vendors_python_sdk_releases_the_robot_and_stands_it_up(go2, tmp_pat
     assert heights[-1] < 0.15
 
 
-def test_a_service_that_does_not_answer(go2) -> None:
+def test_a_service_that_does_not_answer_is_an_error(go2) -> None:
     from surefoot.deploy.dds.bus import Bus
     from surefoot.deploy.dds.services import CHECK_MODE, MOTION_SWITCHER, Client
     from surefoot.errors import SurefootError

@@ -1,4 +1,4 @@
-"""The serial line: transmission time, and harm to frames."""
+"""The serial line: transmission time, and faults of frames."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import pytest
 from surefoot.deploy.messages import Ping
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
-from surefoot.emulator.fault_table import HARMS
+from surefoot.emulator.fault_table import LINE_FAULTS
 from surefoot.emulator.serial.line import Line
 
 
-def line(chances: dict[str, float] | None = None, **config: float) -> Line:
+def line(probabilities: dict[str, float] | None = None, **config: float) -> Line:
     made = Line(np.random.default_rng(5), **config)
-    made.chances = chances or {}
+    made.probabilities = probabilities or {}
     return made
 
 
@@ -28,8 +28,8 @@ def arrivals(line: Line) -> list[tuple[int, bytes]]:
     return arrived
 
 
-def test_bytes_take_their_time():
-    slow = line(baud=100_000)  # 10 bytes a millisecond
+def test_bytes_take_transmission_time():
+    slow = line(baud=100_000)  # 10 bytes per millisecond
     slow.send(1000, b"\0aaaaaaaa\0" + b"\0bbb\0")
     slow.send(5000, b"\0cccccccc\0")
     assert arrivals(slow) == [(2000, b"\0aaaaaaaa\0"), (2500, b"\0bbb\0"), (6000, b"\0cccccccc\0")]
@@ -44,14 +44,14 @@ def test_without_a_baud_rate_bytes_take_no_time():
     assert arrivals(quick) == [(9, b"\0bbb\0")]
 
 
-def test_bytes_that_never_end_are_passed_on():
+def test_bytes_without_a_frame_are_passed_on():
     quick = line()
     for _ in range(100):
         quick.send(0, b"x" * 100)
     assert sum(len(data) for _, data in arrivals(quick)) > 4000
 
 
-def test_batches_come_at_multiples_of_their_period():
+def test_batches_arrive_at_multiples_of_their_period():
     batched = line(batch=0.016)
     for at in (0, 1, 15_999, 16_000, 16_001):
         batched.send(at, b"\0a\0")
@@ -66,8 +66,8 @@ def test_a_cut_line_loses_bytes_in_transit():
     assert arrivals(pulled) == []
 
 
-@pytest.mark.parametrize("harm", HARMS)
-def test_each_harm_strikes_at_its_rate_and_only_its_own_frames(harm):
+@pytest.mark.parametrize("harm", LINE_FAULTS)
+def test_each_line_fault_occurs_at_its_rate(harm):
     codec = Codec(8)
     struck, decoder, received, count = line({harm: 0.2}), Decoder(codec), [], 2000
     for number in range(1, count + 1):
@@ -78,7 +78,7 @@ def test_each_harm_strikes_at_its_rate_and_only_its_own_frames(harm):
     assert times == struck.counts[harm] == pytest.approx(0.2 * count, rel=0.15)
     in_order = all(a < b for a, b in itertools.pairwise(received))
     if harm in ("corrupt", "drop", "cut-frames"):
-        # A bit turned over in the zeros around a frame, or a cut that takes only one of them, harms nothing.
+        # A flipped bit in the zeros around a frame, or a cut that removes only one of them, has no effect.
         assert count - times <= len(received) <= count - (times if harm == "drop" else 0)
         assert in_order
     elif harm == "duplicate":
@@ -92,9 +92,9 @@ def test_each_harm_strikes_at_its_rate_and_only_its_own_frames(harm):
     assert (decoder.statistics.damaged > 0) == (harm in ("corrupt", "cut-frames", "garbage"))
 
 
-def test_the_same_generator_does_the_same_again():
+def test_equal_seeds_give_equal_faults():
     def run() -> list[tuple[int, bytes]]:
-        again = line(dict.fromkeys(HARMS, 0.1))
+        again = line(dict.fromkeys(LINE_FAULTS, 0.1))
         for number in range(300):
             again.send(number, b"\0" + bytes([number % 255 + 1] * 20) + b"\0")
         return arrivals(again)

@@ -1,4 +1,4 @@
-"""A robot behind a Unix socket: bytes both ways, one host at a time, nothing left behind."""
+"""A robot at a Unix socket: bytes in both directions, one host at a time, and the socket is removed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def robot(tmp_path: Path) -> Any:
 
 
 def host(robot: SocketServerPort) -> SocketPort:
-    """A host that is connected; the robot has one thread here, so its greeting is awaited by hand."""
+    """A connected host; the robot runs in the same thread, so its greeting is read explicitly."""
     end = socket.socket(socket.AF_UNIX)
     end.connect(robot.path)
     assert robot.wait(1.0)
@@ -33,12 +33,12 @@ def host(robot: SocketServerPort) -> SocketPort:
     return port
 
 
-def test_bytes_go_both_ways_and_a_host_may_come_back(robot: SocketServerPort) -> None:
-    assert robot.deserted()
+def test_bytes_go_both_ways_and_a_host_can_reconnect(robot: SocketServerPort) -> None:
+    assert robot.has_no_host()
     for _ in range(2):
         port = host(robot)
         assert port.read() == b"\0"
-        assert not robot.deserted()
+        assert not robot.has_no_host()
         assert not robot.wait(0.0)
         port.write(b"command")
         assert robot.wait(1.0)
@@ -49,7 +49,7 @@ def test_bytes_go_both_ways_and_a_host_may_come_back(robot: SocketServerPort) ->
         port.close()
         assert robot.wait(1.0)
         assert robot.read() == b""
-        assert robot.deserted()
+        assert robot.has_no_host()
         robot.write(b"to nobody")
 
 
@@ -59,7 +59,7 @@ def read_on(port: SocketPort) -> None:
         port.read()
 
 
-def test_a_second_host_is_turned_away_and_the_first_one_stays(robot: SocketServerPort) -> None:
+def test_a_second_host_is_rejected_and_the_first_one_stays(robot: SocketServerPort) -> None:
     first, second = host(robot), socket.socket(socket.AF_UNIX)
     second.connect(robot.path)
     robot.read()
@@ -81,20 +81,20 @@ def test_a_host_that_does_not_read_loses_frames_and_does_not_block(robot: Socket
     port.close()
 
 
-def test_hosts_are_refused_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_hosts_are_rejected_in_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "robot"
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(str(path))
     with pytest.raises(SurefootError, match=f"port {re.escape(str(path))}: can't be opened: Connection refused"):
         connect(str(path))
     listener.listen()
-    monkeypatch.setattr("surefoot.deploy.dds.socket_port._PATIENCE", 0.05)
+    monkeypatch.setattr("surefoot.deploy.dds.socket_port._ACCEPT_TIMEOUT", 0.05)
     with pytest.raises(SurefootError, match="can't be opened: timed out"):
         connect(str(path))
     listener.close()
 
 
-def test_a_socket_that_a_killed_emulator_left_is_replaced_and_others_are_refused(tmp_path: Path) -> None:
+def test_a_socket_of_a_killed_emulator_is_replaced_and_other_paths_are_rejected(tmp_path: Path) -> None:
     path = tmp_path / "robot"
     dead = socket.socket(socket.AF_UNIX)
     dead.bind(str(path))

@@ -1,4 +1,4 @@
-"""Forces on the feet of simulated robots, whose masses and motions are known."""
+"""Foot forces of simulated robots with known masses and motions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEP = 0.001
 
 
 def params(robot: RobotDescription, **values: float) -> PhysicalParams:
-    """Feet are read and driven each millisecond; a servo of few delays keeps fast motions smooth."""
+    """Return parameters with a control step of 1 ms and no control latency, which keeps fast motions smooth."""
     return PhysicalParams.nominal(robot).with_values(robot, control_step=STEP, control_latency=0.0, **values)
 
 
@@ -31,7 +31,7 @@ def still(world: SimWorld) -> Motion:
 
 
 def standing(robot: RobotDescription, uneven: float = 0.0, **values: float) -> SimWorld:
-    """At rest; with `uneven` the front legs are so much longer."""
+    """Return a world with a robot at rest, whose front legs have `uneven` more extension [rad]."""
     world = SimWorld(robot, 1, params(robot, **values))
     front = np.where(robot.leg_mounts[:, 0] > 0, uneven, 0.0)
     target = robot.pose_angles(np.zeros(4), STANCE + front)
@@ -43,7 +43,7 @@ def standing(robot: RobotDescription, uneven: float = 0.0, **values: float) -> S
 
 
 def pressed(world: SimWorld) -> np.ndarray:
-    """Vertical forces (4,) [N] of feet at rest: how deep they are, times their stiffness."""
+    """Return the vertical forces (4,) [N] of feet at rest: penetration depth times stiffness."""
     depth = world.robot.five_bar.foot_radius - world.foot_positions()[0, :, 2]
     return depth * world.params.contact_stiffness[0]
 
@@ -56,22 +56,23 @@ def test_feet_carry_the_weight_of_a_standing_robot(robot: RobotDescription, unev
     result = dynamics.forces(still(world))
     pitch = world.truth().roll_pitch_yaw[0, 1]
     assert abs(pitch) == pytest.approx(0.0, abs=2e-3) if uneven == 0 else abs(pitch) > 0.02
-    # The base's frame is tilted: up of the world is (-sin, cos) of x and z there.
+    # The base frame is tilted: world up is (-sin, cos) in its x and z.
     upward = result.force[0] @ [-np.sin(pitch), np.cos(pitch)]
     along = result.force[0] @ [np.cos(pitch), np.sin(pitch)]
     assert upward.sum() == pytest.approx(robot.urdf.total_mass * GRAVITY, rel=1e-3)
     assert abs(along.sum()) < 0.05
     np.testing.assert_allclose(upward, pressed(world), rtol=5e-3)
-    # Nothing moves, and nothing is lacking: forces hold the robot, moments cancel.
-    np.testing.assert_allclose(result.needed[0], 0.0, atol=0.05)
-    assert abs(result.turning[0]) < 1e-9
+    # At rest no residual force or moment is needed.
+    np.testing.assert_allclose(result.required[0], 0.0, atol=0.05)
+    assert abs(result.base_moment[0]) < 1e-9
 
 
 @pytest.fixture(scope="module")
 def nodding(robot: RobotDescription) -> dict[float, Motion]:
-    """Robots that nod and squat, with ratios of the base's inertia of 1 and 2: what they did in each servo step.
+    """Motions of robots that nod and squat, by the inertia ratio of the base (1 and 2), in each servo step.
 
-    An engine goes from one speed to the next with the forces of now: accelerations are those of the step that begins.
+    The engine integrates from one speed to the next with the current forces, so the acceleration of a row belongs to
+    the step that begins there.
     """
     motions = {}
     for ratio in (1.0, 2.0):
@@ -79,9 +80,9 @@ def nodding(robot: RobotDescription) -> dict[float, Motion]:
         ends = np.where(robot.leg_mounts[:, 0] > 0, 1.0, -1.0)
         rows = []
         for k in range(2600):
-            share, time = min(k / 800, 1.0), max(k * STEP - 1.2, 0.0)
+            progress, time = min(k / 800, 1.0), max(k * STEP - 1.2, 0.0)
             swell = 0.1 * ends * np.sin(2 * np.pi * 3.5 * time) + 0.05 * np.sin(2 * np.pi * 1.5 * time)
-            extension = 2.0 + (STANCE - 2.0) * share + min(time / 0.3, 1.0) * swell
+            extension = 2.0 + (STANCE - 2.0) * progress + min(time / 0.3, 1.0) * swell
             target = robot.pose_angles(np.zeros(4), extension)
             before = world.truth()
             rate = world.actuation.sample[0, -3:].copy()
@@ -106,28 +107,29 @@ def forces(robot: RobotDescription, motion: Motion, **values: float) -> Forces:
 def test_residual_moment_vanishes_with_the_true_masses(robot: RobotDescription, nodding: dict[float, Motion]):
     for ratio, motion in nodding.items():
         result = forces(robot, motion, base_inertia_ratio=ratio)
-        assert np.std(result.turning) > 0.2
-        assert np.std(result.needed[:, 2]) < 0.05 * np.std(result.turning)
-        # What moves up and down needs the force that the feet give beyond the weight.
+        assert np.std(result.base_moment) > 0.2
+        assert np.std(result.required[:, 2]) < 0.05 * np.std(result.base_moment)
+        # Foot forces beyond the weight accelerate the robot up and down.
         carried = result.force[:, :, 1].sum(axis=1)
         assert np.mean(carried) == pytest.approx(robot.urdf.total_mass * GRAVITY, rel=0.03)
         weight = robot.urdf.total_mass * GRAVITY * np.cos(motion.roll_pitch).prod(axis=1)
-        np.testing.assert_allclose(carried, weight + result.needed[:, 1], atol=0.3)
+        np.testing.assert_allclose(carried, weight + result.required[:, 1], atol=0.3)
 
 
 def test_residual_moment_gives_the_inertia(robot: RobotDescription, nodding: dict[float, Motion]):
-    for true, taken in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0)):
-        result = forces(robot, nodding[true], base_inertia_ratio=taken)
-        columns = np.stack([result.turning, np.ones_like(result.turning)], axis=1)
-        values, _ = regress(columns, -result.needed[:, 2], np.arange(len(columns)) // 50)
-        # Beside what it was taken for.
-        assert taken * (1 + values[0]) == pytest.approx(true, rel=0.03)
+    for true, assumed in ((1.0, 1.0), (2.0, 1.0), (1.0, 2.0)):
+        result = forces(robot, nodding[true], base_inertia_ratio=assumed)
+        columns = np.stack([result.base_moment, np.ones_like(result.base_moment)], axis=1)
+        values, _ = regress(columns, -result.required[:, 2], np.arange(len(columns)) // 50)
+        # The excess is relative to the assumed inertia.
+        assert assumed * (1 + values[0]) == pytest.approx(true, rel=0.03)
 
 
 def test_mass_of_the_base_includes_fixed_links(robot: RobotDescription):
     one, other = InverseDynamics(robot, params(robot)), InverseDynamics(robot, params(robot, base_inertia_ratio=2.0))
     np.testing.assert_allclose(other.base_inertia, 2 * one.base_inertia)
-    # About y: the body, whose centre is 50 mm before its origin, and two rails 18.5 mm below; about their centre.
+    # About y through the common centre: the body, whose centre is 50 mm in front of its origin, and two rails 18.5 mm
+    # below.
     masses, places = np.array([3.353, 1.32, 1.32]), np.array([[0.05, 0.0], [0.0, -0.0185], [0.0, -0.0185]])
     centre = masses @ places / masses.sum()
     about_y = 0.027262 + 2 * 0.040913 + masses @ np.sum((places - centre) ** 2, axis=1)
@@ -142,5 +144,5 @@ def test_feet_positions_follow_from_leg_angles(robot: RobotDescription):
     foot = forces(robot, symmetric).foot[0]
     np.testing.assert_allclose(foot[:, 1], foot[0, 1], atol=1e-6)
     assert -0.3 < foot[0, 1] < -0.1
-    # Under the legs' mounts, to a few millimetres: their lower links are not of one length.
+    # Feet are below the mounts of the legs, except for a few millimetres: the lower links differ in length.
     np.testing.assert_allclose(foot[:, 0], robot.leg_mounts[:, 0], atol=0.03)

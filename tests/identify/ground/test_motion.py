@@ -1,4 +1,4 @@
-"""Blocks of time, regression by blocks, and angles from a slow IMU and a fast gyro."""
+"""Block statistics, regression with block covariance, and fusion of IMU angles and gyro rates."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.identify.ground.motion import (
-    LEVELLING,
     STEP,
+    TILT_TIME_CONSTANT,
     GroundMotion,
     _filter_tilt,
     _smooth,
@@ -23,9 +23,9 @@ from surefoot.robot import PhysicalParams, RobotDescription
 
 
 def test_deviation_of_a_mean_by_blocks():
-    # Means 1 and 3 of two blocks: they spread by sqrt(2), their mean by sqrt(2) / sqrt(2).
+    # Two blocks with means 1 and 3: their standard deviation is sqrt(2), and sqrt(2) / sqrt(2) for their mean.
     assert block_deviation(np.array([1.0, 1.0, 3.0, 3.0]), np.array([0, 0, 1, 1])) == pytest.approx(1.0)
-    # What differs within a block does not count.
+    # Differences within a block do not matter.
     assert block_deviation(np.array([0.0, 2.0, 2.0, 4.0]), np.array([0, 0, 1, 1])) == pytest.approx(1.0)
     assert block_deviation(np.array([1.0, 2.0]), np.array([4, 4])) == float("inf")
 
@@ -34,7 +34,7 @@ def test_a_regression_by_blocks():
     ones, values, blocks = np.ones((4, 1)), np.array([1.0, 1.0, 3.0, 3.0]), np.array([0, 0, 1, 1])
     estimate, covariance = regress(ones, values, blocks)
     assert estimate[0] == pytest.approx(2.0)
-    # Gradients -2 and 2; two blocks less one coefficient; H = 4.
+    # Gradients -2 and 2; two blocks minus one coefficient; H = 4.
     assert covariance[0, 0] == pytest.approx((4 + 4) * 2 / 16)
 
 
@@ -49,17 +49,17 @@ def test_a_regression_on_two_columns():
     np.testing.assert_allclose(with_none, [3.0, -2.0, 0.0], atol=1e-12)
 
 
-def test_tilt_follows_the_gyro_fast_and_the_imu_slowly():
+def test_tilt_follows_the_gyro_at_high_and_the_imu_at_low_frequency():
     rng, time = np.random.default_rng(3), np.arange(0.0, 8.0, STEP)
     fast, slow = 0.1 * np.sin(2 * np.pi * 3 * time), 0.03
     tilt = slow + fast + rng.normal(0.0, 0.05, len(time))
-    # The gyro: what changes, exactly, from one value to the next.
+    # The gyro measures the exact change between samples.
     rate = np.diff(fast, prepend=fast[0]) / STEP
     estimate = _filter_tilt(
         np.stack([tilt, np.zeros_like(tilt)], axis=1), np.stack([rate, np.zeros_like(rate)], axis=1)
     )
     error = estimate[:, 0] - slow - fast
-    # The start is a mean of noise and of the motion; then noise of 50 mrad is averaged over some 1000 values.
+    # The start is a mean over noise and motion; later, noise of 50 mrad is averaged over some 1000 samples.
     assert abs(error[0]) < 0.06
     assert np.abs(error[2000:]).max() < 0.012
     assert np.std(tilt - slow - fast) > 0.045
@@ -67,10 +67,10 @@ def test_tilt_follows_the_gyro_fast_and_the_imu_slowly():
 
 
 def test_tilt_has_no_mean_error_from_a_biased_gyro():
-    # Drawn back with a time constant T, an error of the rate b leaves an angle of b T (1 - exp(-t / T)), less its mean.
+    # With the time constant T, a rate bias b causes an angle of b T (1 - exp(-t / T)), minus its mean.
     time, bias = np.arange(0.0, 6.0, STEP), 0.01
     estimate = _filter_tilt(np.zeros((len(time), 2)), np.full((len(time), 2), bias))
-    expected = bias * LEVELLING * (1 - np.exp(-(time + STEP) / LEVELLING))
+    expected = bias * TILT_TIME_CONSTANT * (1 - np.exp(-(time + STEP) / TILT_TIME_CONSTANT))
     np.testing.assert_allclose(estimate[:, 0], expected - expected.mean(), atol=1e-4)
     assert abs(estimate[:, 0].mean()) < 1e-12
 
@@ -89,12 +89,12 @@ def test_values_are_selected_by_phase_and_use():
     assert standing.during("nod", uses=("check",)).tolist() == [False, False, False, False, True, True]
     assert standing.during(uses=("fit", "check")).tolist() == [False, False, True, True, True, True]
     assert not standing.during("stand").any()
-    # Blocks of half a second: 0 and .3; .6 and .9; 1.2; 1.5.
+    # Blocks of half a second: 0 and 0.3; 0.6 and 0.9; 1.2; 1.5.
     assert standing.blocks.tolist() == [0, 0, 1, 1, 2, 3]
 
 
 def test_mean_torque_exceeds_the_report_after_a_command(robot: RobotDescription):
-    """A motor turns at 1 rad/s and is held by a servo; states come every 2 ms, each of them before a command."""
+    """A motor turns at 1 rad/s under servo control; a state precedes each command, every 2 ms."""
     time = np.arange(100) * 0.002
     turning = np.tile((1.7 + time)[:, None], (1, 8))
     recording = SimpleNamespace(
@@ -102,11 +102,11 @@ def test_mean_torque_exceeds_the_report_after_a_command(robot: RobotDescription)
         sent_value=np.full((100, 8), 1.82), motor_angle=turning, motor_velocity=np.ones((100, 8)),
     )  # fmt: skip
     nominal = PhysicalParams.nominal(robot)
-    # Of two steps the second has 1 mrad less to go: .001 of 16 V, at .186 Ohm and, up to 10 A, .1 N m/A. On average
-    # they have half of that more than the second.
+    # In the second of two servo steps the error is 1 mrad smaller, a duty of 0.001 of 16 V, at 0.186 Ohm and 0.1 N m/A
+    # up to 10 A. The mean of both exceeds the second by half of that.
     expected = 0.001 * 16 / 0.186 * 0.1 / 2
     estimate = _torque_excess(robot, recording, nominal, 0.0)
     np.testing.assert_allclose(estimate[20:], expected, rtol=1e-6)
-    # A motor that stands has equal torques in both.
+    # A still motor has equal torques in both steps.
     still = SimpleNamespace(**vars(recording) | {"motor_angle": turning * 0, "motor_velocity": turning * 0})
     np.testing.assert_allclose(_torque_excess(robot, still, nominal, 0.0)[20:], 0.0, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Recorded messages of a Go2 become traces: bags and CSV files, damaged and hostile ones too."""
+"""Import of recorded Go2 messages from bags and CSV files, including damaged and hostile files."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def command(**fields: Any) -> bytes:
 
 
 def log(*rows: bytes | int) -> Messages:
-    """Return messages 1 ms apart; a number stands for a state with this tick."""
+    """Return messages 1 ms apart; a number means a state with this tick."""
     data = [state(row) if isinstance(row, int) else row for row in rows]
     return [("/lowcmd" if len(one) < 1000 else "/lowstate", 10**6 * k, one) for k, one in enumerate(data, 1)]
 
@@ -75,7 +75,7 @@ def imported(folder: Path, messages: Messages, **options: Any) -> EpisodeTrace:
 
 @pytest.fixture(scope="module")
 def run() -> tuple[Messages, np.ndarray]:
-    """Return the messages of a robot on a rack that moves its legs, and the angles that it was commanded."""
+    """Return the messages of a robot on a rack that moves its legs, and the commanded angles."""
     robot, messages, targets = Robot(rack=True), [], []
     robot.run(0.002)
     for step in range(500):
@@ -110,7 +110,7 @@ def test_a_log_replays_exactly_on_the_robot_that_recorded_it(
     bag, trace = write_bag(tmp_path / "bag", run[0]), tmp_path / "trace.npz"
     assert main(["identify", "import", str(bag), "--robot", "go2", "--out", str(trace)]) == 0
     assert "500 rows, 1.00 s; steps of 2.00 to 2.00 ms" in capsys.readouterr().out
-    # Its readings are ideal: not delayed. Gains come with the commands.
+    # Its readings have no delay. Gains are sent with the commands.
     assert main(["identify", "replay", str(trace), "--rack", "--set", "control_latency=0", "--json"]) == 0
     exact = json.loads(capsys.readouterr().out)
     assert exact["rms"] < 2e-3
@@ -129,10 +129,10 @@ def test_csv_of_states_without_names_and_with(tmp_path: Path) -> None:
     np.testing.assert_allclose(trace.motor_angle[1], recorded("low_state")["motor_state"]["q"][:12], atol=1e-6)
     np.testing.assert_allclose(trace.roll_pitch_yaw[1], recorded("low_state")["imu_state"]["rpy"], atol=1e-3)
     assert np.isnan(trace.target).all()
-    assert trace.meta["notes"] == ["no row has a target: a log to replay has /lowcmd too"]
-    with pytest.raises(SurefootError, match="no two rows in a row with commands; a log to replay"):
+    assert trace.meta["notes"] == ["no row has a target: replay also needs /lowcmd"]
+    with pytest.raises(SurefootError, match="no two consecutive rows with commands; replay and"):
         motion_from_trace("log", trace)
-    # As a tool for plots writes it: topics before names, a row for each message of either.
+    # As plotting tools write it: names with topics, and one row per message of either topic.
     names = ["time", "/lowstate/tick"]
     names += [f"/lowstate/motor_state[{k}]/q" for k in range(12)]
     names += [f"/lowcmd/motor_cmd[{k}]/{name}" for k in range(12) for name in ("q", "kp", "kd")]
@@ -156,9 +156,9 @@ def test_targets_follow_the_vendors_law(tmp_path: Path) -> None:
     assert motion.meta["notes"] == [
         "7 of 11 rows have no target: no command, a motor without gain, or other gains",
     ]
-    assert motion.between(0.002, 0.004).command[:, 0].tolist() == pytest.approx([0.5, moved], abs=1e-6)
+    assert motion.crop(0.002, 0.004).command[:, 0].tolist() == pytest.approx([0.5, moved], abs=1e-6)
     with pytest.raises(SurefootError, match=r"--between 1 2 has 0 rows; the log is 0\.02 s long"):
-        motion.between(1.0, 2.0)
+        motion.crop(1.0, 2.0)
 
 
 def test_the_longest_part_with_commands_is_replayed(tmp_path: Path) -> None:
@@ -178,14 +178,14 @@ def test_the_longest_part_with_commands_is_replayed(tmp_path: Path) -> None:
 
 
 def test_ticks_are_the_clock(tmp_path: Path) -> None:
-    # Repeated, late, wrapped; a gap over which commands are unknown; the robot restarts.
+    # Repeated, late and wrapped ticks, a gap in which commands are unknown, and a restart of the robot.
     ticks = [2**32 - 4, 2**32 - 2, 2**32 - 2, 0, 2**32 - 4, 4, 104, 106, 108, 2, 4]
     trace = imported(tmp_path, log(2**32 - 4, command(), *ticks[1:]))
     np.testing.assert_allclose(trace.time, [0, 0.002, 0.004, 0.008, 0.108, 0.110, 0.112], atol=1e-9)
     assert np.isnan(trace.target[:, 0]).tolist() == [True, False, False, False, True, False, False]
     assert trace.meta["notes"][:2] == [
-        "2 states were left out: they repeat a tick, or came late",
-        "the robot's tick started anew 1 times: the longest part is kept",
+        "2 states were left out: they repeat a tick or arrived late",
+        "the robot's tick restarted 1 times: only the longest part is used",
     ]
 
 
@@ -197,7 +197,7 @@ def test_damaged_messages_are_left_out(tmp_path: Path) -> None:
     bad["motor_state"]["q"][0] = np.inf
     messages = log(2, good, bytes(flipped), good[:-4] + bytes(4), state(8)[:-2], command()[:-1], encode(bad))
     trace = imported(tmp_path, messages)
-    assert trace.meta["notes"][0] == "4 messages were left out: of another length, or with a wrong checksum"
+    assert trace.meta["notes"][0] == "4 messages were left out: wrong length or wrong checksum"
     assert np.isnan(trace.roll_pitch_yaw[-1]).all()
     assert np.isnan(trace.motor_angle[-1]).tolist() == [True] + [False] * 11
     (tmp_path / "all").mkdir()
@@ -210,30 +210,30 @@ NAMES = ["tick", *(f"motor_state[{k}].q" for k in range(12))]
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ([["1"] * 100] * 2, "has no names, and 100 numbers a line; a Go2's state has 349"),
+        ([["1"] * 100] * 2, "has no column names, and 100 numbers per line; a Go2 state has 349"),
         ([["1"] * 250] * 2, "holds commands, which have no time: record /lowstate and /lowcmd in a bag"),
-        ([NAMES[1:], ["1"] * 12], "has no column of tick; columns: motor_state"),
-        ([NAMES[:-1], ["1"] * 12], r"has no column of motor_state\[11\]\.q"),
-        ([[*NAMES, "other/tick"], ["1"] * 14], "has 2 columns of tick: tick, other/tick; keep those of one topic"),
+        ([NAMES[1:], ["1"] * 12], "has no column for tick; columns: motor_state"),
+        ([NAMES[:-1], ["1"] * 12], r"has no column for motor_state\[11\]\.q"),
+        ([[*NAMES, "other/tick"], ["1"] * 14], "has 2 columns for tick: tick, other/tick; keep one topic"),
         ([NAMES, ["x"] * 13], "has no row with a tick"),
         ([NAMES, ["1"] * 13], "has 1 states, but no two with rising ticks"),
-        ([NAMES, ["-1"] * 13], "state 0 has tick -1; ticks are 0 to 4294967295, in ms"),
-        ([NAMES, ["1e300"] * 13], "state 0 has tick 1e.300; ticks are"),
+        ([NAMES, ["-1"] * 13], "state 0 has tick -1; ticks must be 0 to 4294967295 ms"),
+        ([NAMES, ["1e300"] * 13], "state 0 has tick 1e.300; ticks must be"),
     ],
 )
-def test_a_csv_that_is_no_log_is_refused(tmp_path: Path, lines: Sequence[Sequence[str]], message: str) -> None:
+def test_a_csv_that_is_not_a_log_is_rejected(tmp_path: Path, lines: Sequence[Sequence[str]], message: str) -> None:
     (tmp_path / "log.csv").write_text("\n".join(map(",".join, lines)))
     with pytest.raises(SurefootError, match=message):
         import_log(tmp_path / "log.csv", GO2)
 
 
-def test_a_bag_that_is_no_log_is_refused(
+def test_a_bag_that_is_not_a_log_is_rejected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wrong = state(2)[:-4] + bytes(4)
     for name, messages, error in [
-        ("commands", log(command()), r"has no topic of a Go2's states .* topics: /lowcmd \(unitree_go/msg/LowCmd\)"),
-        ("wrong", log(wrong), "the checksum is 0; of these bytes it is [0-9]*; --any-checksum reads such messages"),
+        ("commands", log(command()), r"has no topic of Go2 states .* topics: /lowcmd \(unitree_go/msg/LowCmd\)"),
+        ("wrong", log(wrong), "the checksum is 0; it must be [0-9]*; --any-checksum accepts such messages"),
         ("short", log(state(2)[:-1]), "the message has 1179 bytes; it must have 1180"),
     ]:
         with pytest.raises(SurefootError, match=error):

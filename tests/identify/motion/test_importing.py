@@ -1,4 +1,4 @@
-"""Logs of others become traces: columns, units, signs; what is missing stays missing."""
+"""Import of third-party logs: columns, units and signs; missing readings stay missing."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_import_applies_units_signs_and_offsets(tmp_path: Path, pupper: RobotDes
     np.testing.assert_allclose(trace.motor_angle[:, 0], 0.5 + degree * np.array([1, 2, 2, 4]))
     assert np.isnan(trace.motor_angle[:, 11]).all()
     assert motion.missing() == ["motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base"]
-    # It is a trace like others: it can be kept, and replayed.
+    # The result is an ordinary trace, which can be saved and replayed.
     again = EpisodeTrace.load(trace.save(tmp_path / "trace.npz"))
     np.testing.assert_array_equal(again.target, trace.target)
     assert motion_from_trace("log", again).timing()["repeated_times"] == pytest.approx(1 / 3)
@@ -68,15 +68,15 @@ def test_a_log_of_states_needs_no_commands(tmp_path: Path, pupper: RobotDescript
     motion = import_log(tmp_path / "log.npz", pupper, tmp_path / "m.yaml")
     assert np.isnan(motion.command).all()
     np.testing.assert_array_equal(motion.motor_angle, angles)
-    # It is a trace, which can be looked at and measured, but not replayed.
+    # The trace can be shown and evaluated, but not replayed.
     trace = EpisodeTrace.load(trace_from_motion(motion, pupper).save(tmp_path / "trace.npz"))
     np.testing.assert_array_equal(trace.motor_angle, angles)
-    with pytest.raises(SurefootError, match="has no two rows in a row with commands"):
+    with pytest.raises(SurefootError, match="has no two consecutive rows with commands"):
         motion_from_trace("log", trace)
-    # Half of a mapping is a mistake of the mapping.
+    # A mapping with commands for some motors only is a mistake.
     lines[3] = lines[3].replace("{angle", "{command: 'q[3]', angle")
     (tmp_path / "m.yaml").write_text("\n".join(["time: {column: t}", "motors:", *lines]))
-    with pytest.raises(SurefootError, match=r"m.yaml: motors.rightFrontLegMotor has no command, and other motors have"):
+    with pytest.raises(SurefootError, match=r"m.yaml: motors.rightFrontLegMotor has no command, but other motors have"):
         import_log(tmp_path / "log.npz", pupper, tmp_path / "m.yaml")
     lines = [f"  {name}: {{torque: 'q[{k}]'}}" for k, name in enumerate(pupper.motor_names)]
     (tmp_path / "m.yaml").write_text("\n".join(["time: {column: t}", "motors:", *lines]))
@@ -97,7 +97,7 @@ class Hostile:
         ("motors: {}\nunit: turns", "unit is 'turns'"),
     ],
 )
-def test_import_refuses_a_mapping_of_another_robot(tmp_path: Path, pupper: RobotDescription, text: str, message: str):
+def test_import_rejects_a_mapping_of_another_robot(tmp_path: Path, pupper: RobotDescription, text: str, message: str):
     (tmp_path / "m.yaml").write_text(text)
     with pytest.raises(SurefootError, match=message):
         import_log(tmp_path / "log.csv", pupper, tmp_path / "m.yaml")
@@ -109,10 +109,10 @@ def test_import_refuses_a_mapping_of_another_robot(tmp_path: Path, pupper: Robot
         ({"time": np.array([0.0, 0.02, 0.01])}, "time goes backwards in row 2, from 0.02 to 0.01 s"),
         ({"command": np.zeros((3, 13))}, r"has a column 'command\[12\]'; pupper_v2 has 12 motors"),
         ({"command": np.zeros((3, 8))}, r"has no column 'command\[8\]'"),
-        ({"command": np.full((3, 12), np.nan)}, "row 0 has no command of rightFrontLegMotor"),
+        ({"command": np.full((3, 12), np.nan)}, "row 0 has no command for rightFrontLegMotor"),
     ],
 )
-def test_import_refuses_a_log_of_another_shape(tmp_path: Path, pupper: RobotDescription, changes: dict, message: str):
+def test_import_rejects_a_log_of_another_shape(tmp_path: Path, pupper: RobotDescription, changes: dict, message: str):
     np.savez(tmp_path / "log.npz", **{"time": np.arange(3.0), "command": np.zeros((3, 12)), **changes})
     with pytest.raises(SurefootError, match=message):
         import_log(tmp_path / "log.npz", pupper)
@@ -144,7 +144,7 @@ def test_import_reads_a_ros_bag(tmp_path: Path, pupper: RobotDescription):
 
 
 def billion() -> list[object]:
-    """Return a thousand times a list of a thousand times a list and so on: 10^15 numbers in some kilobytes."""
+    """Return nested lists that repeat a list a thousand times per level: 10^15 numbers in some kilobytes."""
     made: list[object] = [1.0]
     for _ in range(5):
         made = [made] * 1000
@@ -152,7 +152,7 @@ def billion() -> list[object]:
 
 
 class Zeros:
-    """Asks for an array around so many bytes that nobody sent."""
+    """Pickles as an array with many more bytes than the file contains."""
 
     def __reduce__(self):
         return np.core.numeric._frombuffer, (1 << 40, np.dtype("f8"), (1 << 37,), "C")
@@ -162,26 +162,26 @@ BAD_TABLES = {
     "text only": ("npz", {"name": np.array(["a"])}, "holds no arrays of numbers"),
     "no rows": ("npz", {"time": np.zeros(0), "command": np.zeros((0, 12))}, "holds no arrays of numbers"),
     "no columns": ("npz", {"command": np.zeros((5, 0))}, "holds no arrays of numbers"),
-    "too wide": ("npz", {"command": np.zeros((2, 5000))}, r"command has shape \(2, 5000\); it is too large"),
+    "too wide": ("npz", {"command": np.zeros((2, 5000))}, r"command has shape \(2, 5000\), which is too large"),
     "empty pickle": ("pkl", b"", "Ran out of input"),
     "rows of nothing": ("pkl", [{}, {}], "holds no numbers"),
-    "text": ("pkl", "hello", "is no table: could not convert"),
-    "uneven": ("pkl", [[1.0, 2.0], [3.0]], "is no table: setting an array element"),
+    "text": ("pkl", "hello", "is not a table: could not convert"),
+    "uneven": ("pkl", [[1.0, 2.0], [3.0]], "is not a table: setting an array element"),
     "objects": ("pkl", {"command": np.array([None, 1], object)}, "objects are not read"),
     "deep": ("pkl", {"command": [[[[[[[[[[1.0]]]]]]]]]]}, "nested too deeply"),
     "a repeated list": ("pkl", billion(), "it holds more than 1000 items"),
     "missing bytes": ("pkl", Zeros(), "arrays of objects are not read"),
-    "code": ("pkl", Hostile(), r"is no pickle of numbers: it names (posix|nt)\.system"),
+    "code": ("pkl", Hostile(), r"is not a pickle of numbers: it refers to (posix|nt)\.system"),
     "empty text": ("csv", "", "has 0 columns and 0 rows"),
     "names only": ("csv", "a,b\n", "has 2 columns and 0 rows"),
-    "repeated name": ("csv", "a,a\n1,2\n", "columns of one name"),
+    "repeated name": ("csv", "a,a\n1,2\n", "several columns with the same name"),
     "short line": ("csv", "a,b\n1,2\n\n3\n", "line 3 has 1 values; the first line names 2"),
-    "endless": ("csv", '"' + "x" * 200_000, "is no CSV file: field larger"),
+    "endless": ("csv", '"' + "x" * 200_000, "is not a CSV file: field larger"),
 }
 
 
 @pytest.mark.parametrize("name", BAD_TABLES)
-def test_table_refuses_malformed_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str):
+def test_table_rejects_malformed_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str):
     kind, data, message = BAD_TABLES[name]
     path = tmp_path / f"log.{kind}"
     if kind == "npz":
@@ -199,16 +199,16 @@ def test_table_refuses_malformed_files(tmp_path: Path, monkeypatch: pytest.Monke
     ("name", "message"),
     [("log.xlsx", r"is of kind '.xlsx'; kinds: .npz"), ("log.csv", "No such file"), ("log.mcap", "does not exist")],
 )
-def test_table_refuses_missing_files_and_other_kinds(tmp_path: Path, name: str, message: str):
+def test_table_rejects_missing_files_and_other_kinds(tmp_path: Path, name: str, message: str):
     with pytest.raises(SurefootError, match=message):
         read_table(tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["log.mcap", "log.bag"])
-def test_table_refuses_a_damaged_bag(tmp_path: Path, name: str):
+def test_table_rejects_a_damaged_bag(tmp_path: Path, name: str):
     pytest.importorskip("rosbags")
     (tmp_path / name).write_bytes(b"junk")
-    with pytest.raises(SurefootError, match="is no bag: File magic is invalid"):
+    with pytest.raises(SurefootError, match="is not a bag: File magic is invalid"):
         read_table(tmp_path / name)
 
 
@@ -232,10 +232,10 @@ def test_table_reads_all_numbers_that_numpy_pickles(tmp_path: Path):
     assert read_table(tmp_path / "log.pkl").columns["data"].tolist() == [1, 2, 3]
 
 
-def test_import_refuses_a_missing_or_broken_clock(tmp_path: Path, pupper: RobotDescription):
+def test_import_rejects_a_missing_or_broken_clock(tmp_path: Path, pupper: RobotDescription):
     np.savez(tmp_path / "log.npz", time=np.array([0.0, np.nan, 0.02]), command=np.zeros((3, 12)))
     with pytest.raises(SurefootError, match="time is not finite in row 1"):
         import_log(tmp_path / "log.npz", pupper)
     which = mapping(tmp_path / "m.yaml", pupper, "command[{}]", "command[{}]")
-    with pytest.raises(SurefootError, match="has no clock of its own"):
+    with pytest.raises(SurefootError, match="has no time stamps of its own"):
         import_log(tmp_path / "log.npz", pupper, which)

@@ -1,4 +1,4 @@
-"""Units, clocks and repeated commands that look wrong are said."""
+"""Notes on implausible units, computed clocks and repeated commands."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from surefoot.identify.motion.log_checks import check_log
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.robot import RobotDescription
 
-COMPUTED = "these times look computed, not measured: clock and delay can't be told apart"
+COMPUTED_CLOCK = "these times look computed, not measured: errors of the clock can't be distinguished from delay"
 
 
 @pytest.fixture
@@ -27,22 +27,22 @@ def log() -> RecordedMotion:
     return RecordedMotion("log", time, angle, time, angle)
 
 
-def test_a_usual_log_has_no_notes(log: RecordedMotion, go2: RobotDescription):
+def test_a_plausible_log_has_no_notes(log: RecordedMotion, go2: RobotDescription):
     assert check_log(log, go2) == []
 
 
-def test_angles_outside_of_limits_and_times_of_another_unit_are_doubted(log: RecordedMotion, go2: RobotDescription):
+def test_angles_outside_limits_and_times_in_another_unit_are_noted(log: RecordedMotion, go2: RobotDescription):
     (note,) = check_log(replace(log, motor_angle=np.radians(log.motor_angle)), go2)
-    assert note.startswith("FR_calf_joint goes from -0.03 to -0.03 rad, outside of its limits -2.72 to -0.84")
+    assert note.startswith("FR_calf_joint goes from -0.03 to -0.03 rad, outside its limits -2.72 to -0.84")
     (note,) = check_log(replace(log, time=1e-3 * log.time), go2)
     assert note == "301 rows in 0.003 s: is the unit of time right?"
     (note,) = check_log(replace(log, time=1e3 * log.time), go2)
     assert note == "301 rows in 3e+03 s: is the unit of time right?"
 
 
-def test_computed_times_and_repeated_commands_are_said(log: RecordedMotion, go2: RobotDescription):
-    assert check_log(replace(log, time=0.01 * np.arange(301)), go2) == [COMPUTED]
-    # A clock in single precision is a computed one too.
-    assert check_log(replace(log, time=np.linspace(0, 3, 301, dtype=np.float32).astype(float)), go2) == [COMPUTED]
+def test_computed_times_and_repeated_commands_are_noted(log: RecordedMotion, go2: RobotDescription):
+    assert check_log(replace(log, time=0.01 * np.arange(301)), go2) == [COMPUTED_CLOCK]
+    # Computed times in single precision also count as computed.
+    assert check_log(replace(log, time=np.linspace(0, 3, 301, dtype=np.float32).astype(float)), go2) == [COMPUTED_CLOCK]
     repeated = np.repeat(log.command[::4], 4, axis=0)[:301]
-    assert check_log(replace(log, command=repeated), go2) == ["75 % of the commands repeat the row before"]
+    assert check_log(replace(log, command=repeated), go2) == ["75 % of the commands repeat the previous row"]

@@ -1,4 +1,4 @@
-"""Recorded motion: its channels, when readings were taken, and what is refused."""
+"""Recorded motion: its channels, the times of readings, and rejection of invalid logs."""
 
 from __future__ import annotations
 
@@ -33,9 +33,10 @@ def test_repeated_readings_have_the_time_of_the_first():
     time = np.array([0.0, 1.0, 2.0, 3.0, 4.0, 6.0])
     angle = np.array([[0.0], [5.0], [5.0], [5.0], [7.0], [9.0]])
     log = RecordedMotion("log", time, np.arange(6.0)[:, None], motor_angle=angle)
-    # New in rows 0, 1, 4 and 5, and so 1, 3 and 2 s apart: half of the row's step before it, of 2 s at most.
+    # Readings are new in rows 0, 1, 4 and 5, so 1, 3 and 2 s apart (median 2 s). Each was taken half of the preceding
+    # time step earlier.
     np.testing.assert_allclose(log.read_time, [0.0, 0.5, 0.5, 0.5, 3.5, 5.0])
-    assert log.fresh.tolist() == [True, True, False, False, True, True]
+    assert log.has_new_reading.tolist() == [True, True, False, False, True, True]
     timing = log.timing()
     assert timing["repeated_readings"] == pytest.approx(2 / 6)
     assert (timing["least_step"], timing["greatest_step"]) == (1.0, 2.0)
@@ -47,22 +48,22 @@ def test_times_may_repeat_and_are_counted():
 
 
 def moved(**channels: np.ndarray) -> RecordedMotion:
-    """A knee that moves for half a second, read every 10 ms, and whatever else is given."""
+    """Return the motion of a knee that moves for half a second, in rows 10 ms apart, with the given channels."""
     rows = arrays(51)
     return RecordedMotion("log", rows["time"], rows["command"], **channels)
 
 
-def test_channels_that_nobody_recorded_are_missing():
+def test_channels_that_were_not_recorded_are_missing():
     motion = moved(motor_angle=np.ones((51, 12)))
     assert motion.missing() == ["motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base"]
     assert motion.imu.shape == (51, 4)
     assert np.isnan(motion.imu).all()
     assert motion.control_step == pytest.approx(0.01)
-    part = motion.between(0.095, 0.205)
+    part = motion.crop(0.095, 0.205)
     assert part.time.tolist() == pytest.approx((0.01 * np.arange(11, 22)).tolist())
     assert part.motor_torque.shape == (11, 12)
     with pytest.raises(SurefootError, match=r"--between 2 3 has 0 rows; the log is 0\.5 s long"):
-        motion.between(2.0, 3.0)
+        motion.crop(2.0, 3.0)
 
 
 def test_a_log_is_the_same_as_a_trace_and_back(pupper: RobotDescription):
@@ -70,19 +71,19 @@ def test_a_log_is_the_same_as_a_trace_and_back(pupper: RobotDescription):
     angle, attitude = np.random.default_rng(1).standard_normal((51, 12)), np.full((51, 3), 0.1)
     motion = moved(motor_angle=angle, motor_velocity=speed, motor_torque=torque, roll_pitch_yaw=attitude)
     trace = trace_from_motion(motion, pupper)
-    assert trace.imported
+    assert trace.is_imported
     assert trace.energy == pytest.approx(np.full(51, 12 * 1.0 * 0.01))
     again = motion_from_trace("log", trace)
     for name, value in vars(motion).items():
         if isinstance(value, np.ndarray):
             np.testing.assert_array_equal(getattr(again, name), value, err_msg=name)
-    # Without torques nobody knows the energy.
+    # Without torques the energy is unknown.
     assert np.isnan(trace_from_motion(moved(motor_angle=angle), pupper).energy).all()
-    with pytest.raises(SurefootError, match="log log: trace: motor_angle row 3 holds inf"):
+    with pytest.raises(SurefootError, match="log log: trace: motor_angle row 3 is inf"):
         trace_from_motion(moved(motor_angle=np.where(np.arange(51)[:, None] == 3, np.inf, angle)), pupper)
 
 
-def test_a_deployment_sends_the_command_of_a_row_a_row_before(pupper: RobotDescription):
+def test_a_deployment_sends_the_command_of_a_row_one_row_earlier(pupper: RobotDescription):
     trace = trace_from_motion(moved(motor_angle=np.zeros((51, 12))), pupper)
     motion = deployed_motion("run", trace)
     np.testing.assert_array_equal(motion.read_time, trace.time)
@@ -92,7 +93,7 @@ def test_a_deployment_sends_the_command_of_a_row_a_row_before(pupper: RobotDescr
 
 def test_the_published_logs_are_read(pupper: RobotDescription):
     log = read_motion(DATA / "right_side_1khz.npz", pupper)
-    assert np.flatnonzero(log.moving).tolist() == [1, 2, 7, 8]
+    assert np.flatnonzero(log.moving_joints).tolist() == [1, 2, 7, 8]
     assert log.timing()["repeated_readings"] == pytest.approx(0.547, abs=0.001)
 
 
@@ -101,14 +102,14 @@ def test_the_published_logs_are_read(pupper: RobotDescription):
     [
         ({"command": np.zeros((50, 8))}, r"command has shape \(50, 8\).*pupper_v2 has 12 motors"),
         ({"time": 0.01 * np.arange(50)[::-1]}, "time goes backwards in row 1, from 0.49 to 0.48 s"),
-        ({"command": np.full((50, 12), 0.3)}, "commands never move: no joint by 0.02 rad"),
+        ({"command": np.full((50, 12), 0.3)}, "no command moves a joint by more than 0.02 rad"),
         ({"time": np.full(50, np.nan)}, "time has values that are not finite"),
-        ({"imu": np.zeros((49, 4))}, r"imu has shape \(49, 4\).*a row for each time"),
-        ({"command": np.full((50, 12), "a")}, "command holds <U1; it must hold numbers"),
+        ({"imu": np.zeros((49, 4))}, r"imu has shape \(49, 4\).*one row per time"),
+        ({"command": np.full((50, 12), "a")}, "command has type <U1; it must hold numbers"),
         ({"motor_angle": np.array([{}] * 50, object)}, "no file of arrays"),
     ],
 )
-def test_read_log_refuses_arrays_of_another_shape(
+def test_read_log_rejects_arrays_of_another_shape(
     tmp_path: Path, pupper: RobotDescription, changes: dict, message: str
 ):
     with pytest.raises(SurefootError, match=message):
@@ -123,7 +124,7 @@ def test_read_log_lists_arrays_if_commands_are_missing(tmp_path: Path, pupper: R
         read_motion(tmp_path / "log.npz", pupper)
 
 
-def test_read_log_refuses_an_array_longer_than_its_file(tmp_path: Path, pupper: RobotDescription):
+def test_read_log_rejects_an_array_longer_than_its_file(tmp_path: Path, pupper: RobotDescription):
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (10**12,)})
     with zipfile.ZipFile(tmp_path / "log.npz", "w") as archive:
@@ -132,6 +133,6 @@ def test_read_log_refuses_an_array_longer_than_its_file(tmp_path: Path, pupper: 
         read_motion(tmp_path / "log.npz", pupper)
 
 
-def test_read_log_refuses_a_missing_file(tmp_path: Path, pupper: RobotDescription):
+def test_read_log_rejects_a_missing_file(tmp_path: Path, pupper: RobotDescription):
     with pytest.raises(SurefootError, match="can't be read: No such file"):
         read_motion(tmp_path / "none.npz", pupper)

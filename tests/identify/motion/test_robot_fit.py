@@ -1,4 +1,4 @@
-"""A fit to the log of a simulated robot finds the robot."""
+"""Fits to the log of a simulated robot with known parameters."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ NAMES = ("servo_kp", "damping_ratio", "motor_friction", "control_latency")
 
 @pytest.fixture(scope="module")
 def hanging(pupper: RobotDescription) -> RecordedMotion:
-    """One second of a hip and a knee on a rack, read every 10 ms."""
+    """One second of motion of a hip and a knee on a rack, in rows 10 ms apart."""
     time = 0.01 * np.arange(101)
     command = np.tile(np.tile([0.0, 0.6, -1.2], 4), (len(time), 1))
     command[:, 1] += 0.3 * np.sin(9 * time)
@@ -59,7 +59,7 @@ def test_candidates_combine_shared_values_and_ratios(pupper: RobotDescription):
     assert params.motor_offset[0].tolist() == [0, 0, 0.05, *[0] * 9]
 
 
-def test_log_fit_refuses_unknown_names_no_logs_and_dc_motors(pupper: RobotDescription, hanging: RecordedMotion):
+def test_log_fit_rejects_unknown_names_no_logs_and_dc_motors(pupper: RobotDescription, hanging: RecordedMotion):
     initial = PhysicalParams.nominal(pupper)
     with pytest.raises(SurefootError, match="logs can't identify 'voltage'; choices: servo_kp"):
         fit_robot(pupper, [hanging], [], ["voltage"], initial)
@@ -74,7 +74,7 @@ def test_search_reduces_the_cost_over_shared_unknowns(pupper: RobotDescription, 
     initial, progress = PhysicalParams.nominal(pupper), []
     model = robot_model(
         pupper,
-        [hanging.until(0.5)],
+        [hanging.first_seconds(0.5)],
         robot_unknowns(pupper, initial, ["servo_kp", "motor_offset"]),
         initial,
     )
@@ -82,21 +82,21 @@ def test_search_reduces_the_cost_over_shared_unknowns(pupper: RobotDescription, 
     result = search_start(model, 2, 1, lambda step, cost: progress.append((step, cost)))
     before, after = (float(np.sum(model.residuals(one[None]) ** 2)) for one in (start, result))
     assert after < before
-    # What motors have of their own is left to the fit.
+    # Unknowns of single motors are left to the fit.
     assert result[0] != start[0]
     assert np.array_equal(result[1:], start[1:])
     assert [step for step, _ in progress] == ["search, generation 1", "search, generation 2"]
     assert progress[1][1] <= progress[0][1]
     assert np.array_equal(result, search_start(model, 2, 1, lambda *_: None))
-    with pytest.raises(SurefootError, match="a search is over numbers that all motors share"):
+    with pytest.raises(SurefootError, match="--generations searches over parameters that all motors share"):
         fit_robot(pupper, [hanging], [], ["motor_offset"], initial, search=2)
 
 
 def test_yaw_of_the_imu_is_identified(pupper: RobotDescription, hanging: RecordedMotion):
     nominal = PhysicalParams.nominal(pupper)
-    truth, first = nominal.rows(np.zeros(1, np.int64)), hanging.until(0.5)
+    truth, first = nominal.rows(np.zeros(1, np.int64)), hanging.first_seconds(0.5)
     truth.imu_mount[0, 2] = np.pi
-    # Its left legs bend: it rolls and pitches, and the IMU reports both with the other sign.
+    # The left legs bend, so the robot rolls and pitches, and the IMU reports both with the opposite sign.
     command = first.command.copy()
     command[:, 2::6] -= 0.4 * np.linspace(0, 1, len(command))[:, None]
     blank = replace(first, command=command, rack=False)

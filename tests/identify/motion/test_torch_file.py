@@ -1,4 +1,4 @@
-"""Files of `torch.save` are read without torch: their tensors, and nothing else."""
+"""Reading of `torch.save` files without torch: only tensors are read."""
 
 from __future__ import annotations
 
@@ -40,28 +40,28 @@ def test_tensors_of_all_layouts_are_what_torch_saved(tmp_path: Path):
     assert "scalar" not in table.columns
 
 
-def test_nothing_that_a_file_names_is_executed(tmp_path: Path):
+def test_no_code_in_a_file_is_executed(tmp_path: Path):
     torch.save({"time": torch.zeros(3), "bad": Hostile()}, tmp_path / "log.pt")
-    with pytest.raises(SurefootError, match=r"it names (posix|nt).system, which is not read"):
+    with pytest.raises(SurefootError, match=r"it refers to (posix|nt).system, which is not allowed"):
         read_tensors(tmp_path / "log.pt")
     torch.save(torch.nn.Linear(2, 2), tmp_path / "model.pt")
-    with pytest.raises(SurefootError, match="which is not read"):
+    with pytest.raises(SurefootError, match="which is not allowed"):
         read_tensors(tmp_path / "model.pt")
     torch.save([torch.zeros(3)], tmp_path / "list.pt")
-    with pytest.raises(SurefootError, match="holds a list; a log is a table of tensors by name"):
+    with pytest.raises(SurefootError, match="holds a list; a log must be a dictionary of tensors"):
         read_tensors(tmp_path / "list.pt")
 
 
-def test_damaged_files_are_refused(tmp_path: Path):
+def test_damaged_files_are_rejected(tmp_path: Path):
     path = tmp_path / "log.pt"
     path.write_bytes(b"no archive")
-    with pytest.raises(SurefootError, match=r"is no file of torch.save with tensors: File is not a zip file"):
+    with pytest.raises(SurefootError, match=r"is not a file of torch.save with tensors: File is not a zip file"):
         read_tensors(path)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("readme.txt", "nothing")
     with pytest.raises(SurefootError, match=r"holds no data.pkl"):
         read_tensors(path)
-    # A tensor that says it is longer than its bytes.
+    # A tensor whose shape exceeds its bytes.
     torch.save({"time": torch.zeros(4)}, tmp_path / "good.pt")
     with zipfile.ZipFile(tmp_path / "good.pt") as good, zipfile.ZipFile(path, "w") as short:
         for item in good.namelist():

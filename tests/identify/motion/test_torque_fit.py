@@ -1,4 +1,4 @@
-"""Motors' and delays' parameters from recorded runs: robots whose truth is known, and data that are refused."""
+"""Motor and delay parameters from recorded runs of robots with known parameters, and rejection of unsuitable traces."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def fit_torques(
 
 
 def swinging(time: float, legs: int = 4) -> tuple[np.ndarray, np.ndarray]:
-    """Swing and extension of legs that move smoothly, each at a rate of its own, hard enough to saturate motors."""
+    """Return swing and extension of legs that move smoothly at different rates, fast enough to saturate motors."""
     phase = 2 * np.pi * time * (4.0 + 0.5 * np.arange(legs)) + np.arange(legs)
     return 0.8 * np.sin(phase), 1.8 + 0.6 * np.cos(1.7 * phase)
 
 
 def trotting(time: float) -> tuple[np.ndarray, np.ndarray]:
-    """Swing and extension of a trot on the ground."""
+    """Return swing and extension of a trot on the ground."""
     turn = 2 * np.pi * 3.0 * time + np.pi * np.array([0, 1, 1, 0])
     return 0.3 * np.sin(turn), 1.6 + 0.25 * np.cos(turn)
 
@@ -66,7 +66,7 @@ def record(
     start: float = 0.0,
     **meta: Any,
 ) -> EpisodeTrace:
-    """A robot that is asked for motor angles, recorded as `evaluation.rollout` does."""
+    """Return the trace of a simulated robot that follows motor angles, recorded as in `evaluation.rollout`."""
     world = SimWorld(ROBOT, 1, params, config=WorldConfig(rack=rack, thermal_protection=False))
     step = float(params.control_step[0])
     rows: dict[str, list[np.ndarray]] = {}
@@ -105,8 +105,8 @@ def record(
     )
 
 
-def read_badly(trace: EpisodeTrace, seed: int) -> EpisodeTrace:
-    """The trace with the emulator's noise; torques' gains are drawn by the hundreds of the seed."""
+def add_noise(trace: EpisodeTrace, seed: int) -> EpisodeTrace:
+    """Return a trace with the emulator's noise; seeds with the same hundreds have the same torque gains."""
     rng, gains = np.random.default_rng(seed), np.random.default_rng(seed // 100)
     shape, encoder = trace.motor_angle.shape, 2 * np.pi / 2**14
     return replace(
@@ -120,31 +120,31 @@ def read_badly(trace: EpisodeTrace, seed: int) -> EpisodeTrace:
 
 @lru_cache(maxsize=1)
 def clean() -> EpisodeTrace:
-    """One recording without noise."""
+    """Return a trace without noise."""
     return record()
 
 
 def cut(trace: EpisodeTrace, *kept: slice) -> EpisodeTrace:
-    """Some rows of a trace; its time goes on as it was."""
+    """Return some rows of a trace with their original times."""
     rows = np.r_[tuple(slice(*part.indices(trace.num_steps)) for part in kept)]
     arrays = {name: array for name, array in vars(trace).items() if name != "meta"}
-    taken = {name: array[rows] for name, array in arrays.items() if len(array) == trace.num_steps}
+    selected = {name: array[rows] for name, array in arrays.items() if len(array) == trace.num_steps}
     return replace(
         trace,
-        **taken,
+        **selected,
         base_position_world=trace.base_position_world[: len(rows) + 1],
         base_quat_world=trace.base_quat_world[: len(rows) + 1],
     )
 
 
 @lru_cache(maxsize=1)
-def found_clean() -> Identification:
-    """Readings of the recording without noise."""
+def clean_result() -> Identification:
+    """Return the identification from the trace without noise."""
     return fit_torques(ROBOT, [clean()], BATTERY_KNOWN, AT_15_V)
 
 
 def errors_of(result: Identification, params: PhysicalParams = HIDDEN) -> dict[str, float]:
-    """Relative error of each number."""
+    """Return the relative error of each estimate, by label."""
     errors = {}
     for item in result.estimates:
         truth = getattr(params, item.name)[0]
@@ -154,7 +154,7 @@ def errors_of(result: Identification, params: PhysicalParams = HIDDEN) -> dict[s
 
 
 def test_clean_traces_give_the_true_parameters() -> None:
-    result = found_clean()
+    result = clean_result()
     errors = errors_of(result)
     assert len(errors) == 12
     assert all(item.identifiable for item in result.estimates)
@@ -176,10 +176,10 @@ def test_gains_are_identified_when_named() -> None:
     assert result.identified_names() == names
 
 
-def test_intervals_hold_the_truth_of_noisy_runs_on_the_ground() -> None:
+def test_intervals_contain_the_true_values_of_noisy_runs_on_the_ground() -> None:
     hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=1.15, contact_friction=0.7)
     traces = [
-        read_badly(record(hidden, 4.0, trotting, rack=False, start=0.1 * k, date=f"2026-11-2{k}"), 700 + k)
+        add_noise(record(hidden, 4.0, trotting, rack=False, start=0.1 * k, date=f"2026-11-2{k}"), 700 + k)
         for k in range(3)
     ]
     result = fit_torques(ROBOT, traces, None, NOMINAL)
@@ -214,7 +214,7 @@ def test_a_motor_that_never_moves_is_not_identifiable() -> None:
         return np.where(np.arange(4) == 1, 0.0, swing), np.where(np.arange(4) == 1, 2.0, extension)
 
     trace = record(moves=one_leg_still)
-    # Its legs have settled after a while.
+    # The start is left out, until the legs have settled.
     result = fit_torques(ROBOT, [cut(trace, slice(100, None))], BATTERY_KNOWN, AT_15_V)
     still = {int(k) for k in ROBOT.leg_motor_index[1]}
     for motor in range(8):
@@ -227,23 +227,23 @@ def test_a_motor_that_never_moves_is_not_identifiable() -> None:
     assert result.estimate("resistance").value == pytest.approx(0.175, rel=0.01)
 
 
-def test_a_motor_at_its_limit_identifies_its_strength_alone() -> None:
+def test_a_motor_at_its_limit_identifies_only_its_strength() -> None:
     trace = clean()
     target, torque = trace.target.copy(), trace.motor_torque.copy()
     target[:, 0], torque[:, 0] = 9.0, 3.5 * 1.1
     result = fit_torques(ROBOT, [replace(trace, target=target, motor_torque=torque)], BATTERY_KNOWN, AT_15_V)
-    assert any(f"{ROBOT.motor_names[0]} gives its greatest torque in 100 %" in note for note in result.notes)
-    assert sum("greatest torque" in note for note in result.notes) == 1
+    assert any(f"{ROBOT.motor_names[0]} is at its maximum torque in 100 %" in note for note in result.notes)
+    assert sum("maximum torque" in note for note in result.notes) == 1
     assert max(map(abs, errors_of(result).values())) < 0.01
 
 
 def test_a_part_of_one_trace_or_whole_traces_are_held_out() -> None:
     both = fit_torques(ROBOT, [clean(), record(start=2.0)], BATTERY_KNOWN, AT_15_V)
     assert max(map(abs, errors_of(both).values())) < 0.01
-    alone = found_clean()
-    assert alone.series[0].x[0] > 0.7 * 4.0
+    single = clean_result()
+    assert single.series[0].x[0] > 0.7 * 4.0
     assert both.series[0].x[0] < 0.2
-    assert both.digest != alone.digest
+    assert both.digest != single.digest
 
 
 def test_rows_around_gaps_are_left_out_and_noted() -> None:
@@ -262,11 +262,11 @@ def test_rows_around_gaps_are_left_out_and_noted() -> None:
         ({}, ("motor_strength", "imu_bias"), "traces can't identify .imu_bias.; choices: motor_strength"),
         ({}, (), "no parameter is to be identified; choices: "),
         ({"robot": "other"}, None, "trace 1 of 1: is of robot 'other', not of 'minitaur'"),
-        ({"dry_run": True}, None, "trace 1 of 1: is of a dry run"),
+        ({"dry_run": True}, None, "trace 1 of 1: is a dry run"),
         ({"actuator": "constraint"}, None, "motors of kind 'constraint'; only DC motors"),
     ],
 )
-def test_fit_refuses_unknown_names_and_foreign_traces(
+def test_fit_rejects_unknown_names_and_foreign_traces(
     change: dict[str, Any], names: tuple[str, ...] | None, message: str
 ) -> None:
     trace = replace(clean(), meta={**clean().meta, **change})
@@ -274,10 +274,10 @@ def test_fit_refuses_unknown_names_and_foreign_traces(
         fit_torques(ROBOT, [trace], names, NOMINAL)
 
 
-def test_fit_refuses_short_traces_and_motors_at_rest() -> None:
+def test_fit_rejects_short_traces_and_motors_at_rest() -> None:
     with pytest.raises(SurefootError, match="there are no traces"):
         fit_torques(ROBOT, [], None, NOMINAL)
-    with pytest.raises(SurefootError, match=r"1\.\d+ s without gaps, of 1\.98 s; 2 s or more"):
+    with pytest.raises(SurefootError, match=r"1\.\d+ s without gaps, out of 1\.98 s; at least 2 s"):
         fit_torques(ROBOT, [cut(clean(), slice(330))], None, NOMINAL)
     with pytest.raises(SurefootError, match=r"0\.00 s without gaps"):
         fit_torques(ROBOT, [cut(clean(), slice(2))], None, NOMINAL)
@@ -291,16 +291,16 @@ def test_a_walk_identifies_the_mass_of_the_base() -> None:
     hidden = HIDDEN.with_values(ROBOT, base_mass_ratio=ratio, leg_mass_ratio=1.1)
     prior = AT_15_V.with_values(ROBOT, leg_mass_ratio=1.1)
     walk = record(hidden, 6.0, trotting, rack=False)
-    result = fit_torques(ROBOT, [read_badly(walk, 300)], NAMES, prior)
+    result = fit_torques(ROBOT, [add_noise(walk, 300)], NAMES, prior)
     mass = result.estimate("base_mass_ratio")
     low, high = mass.interval
     assert low < ratio < high
     assert mass.deviation < 0.04
     assert any("weighs" in note and "leg_mass_ratio is 1.1" in note for note in result.notes)
-    # Nothing else needs to be looked for.
-    alone = fit_torques(ROBOT, [walk], ("base_mass_ratio",), hidden)
-    assert alone.identified_names() == ("base_mass_ratio",)
-    assert alone.estimate("base_mass_ratio").value == pytest.approx(ratio, rel=0.04)
+    # The mass can be the only parameter.
+    single = fit_torques(ROBOT, [walk], ("base_mass_ratio",), hidden)
+    assert single.identified_names() == ("base_mass_ratio",)
+    assert single.estimate("base_mass_ratio").value == pytest.approx(ratio, rel=0.04)
 
 
 def test_mass_needs_long_walks_on_the_ground() -> None:
@@ -339,12 +339,12 @@ def test_timing_of_torques_in_real_time_is_estimated() -> None:
         real_time, MotorMotion(ROBOT, real_time), np.array([10, 11]), 0, torque_timings(ROBOT, real_time)[1]
     )
     assert np.array_equal(late.target, real_time.command[[9, 10]])
-    # Which it did is found from the data: here torques are of the control step's end.
+    # The data show the timing; these torques are from the end of the control step.
     result = fit_torques(ROBOT, [late_trace], BATTERY_KNOWN, AT_15_V)
     assert max(map(abs, errors_of(result).values())) < 0.01
 
 
-def test_coloured_unknowns_affect_their_motor_or_trace_alone() -> None:
+def test_coloured_unknowns_affect_only_their_motor_or_trace() -> None:
     motions = [deployed_motion("", trace) for trace in (clean(), record(seconds=1.0))]
     segments = [
         TorqueRows(motion, MotorMotion(ROBOT, motion), np.arange(20, 60), number, torque_timings(ROBOT, motion)[0])

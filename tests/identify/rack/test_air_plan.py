@@ -1,4 +1,4 @@
-"""The experiment in the air: commands within limits of angle, speed and torque, that tell what slow motion does not."""
+"""The air experiment: commands within the limits of angle, speed and torque, from slow to fast."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ import pytest
 
 from surefoot.deploy.board.limits import Limits, make_handshake
 from surefoot.errors import SurefootError
-from surefoot.identify.motion.foresight import planned_motion
+from surefoot.identify.motion.expected_accuracy import planned_motion
 from surefoot.identify.plan import Plan
-from surefoot.identify.rack.air_plan import BAND, LIMIT_ROOM, SPEED_SHARE, TORQUE_SHARE, air_plan
+from surefoot.identify.rack.air_plan import FREQUENCY_BAND, LIMIT_MARGIN, SPEED_FRACTION, TORQUE_FRACTION, air_plan
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.robot import PhysicalParams, RobotDescription
 
@@ -34,7 +34,7 @@ def test_commands_stay_within_limits(serial: RobotDescription, plan: Plan):
     for phase in plan.phases:
         start, signal = last, phase.signal
         values = np.array([signal(k * PERIOD, start) for k in range(round(phase.duration / PERIOD) + 1)])
-        # No jump, from phase to phase neither.
+        # There are no jumps within or between phases.
         assert np.abs(np.diff(values, axis=0, prepend=start[None])).max() < 0.05, phase.name
         last = values[-1]
         if phase.use == "transition":
@@ -45,11 +45,11 @@ def test_commands_stay_within_limits(serial: RobotDescription, plan: Plan):
         assert np.all(values <= message.angle_high), phase.name
         speed = np.abs(np.diff(values, axis=0)) / PERIOD
         # The fade adds a little to the speed of the sine.
-        assert np.all(speed.max(axis=0) < 1.2 * SPEED_SHARE * np.minimum(speed_limit, 20.0)), phase.name
-    # At the fastest part of a chirp the servo asks for its gain times the command's amplitude at most.
+        assert np.all(speed.max(axis=0) < 1.2 * SPEED_FRACTION * np.minimum(speed_limit, 20.0)), phase.name
+    # At the fastest part of a chirp the servo demands at most its gain times the amplitude of the command.
     fast = planned_motion(plan).command[-90:-40]
     torque = nominal.servo_kp[0] * np.ptp(fast, axis=0) / 2
-    assert np.all(torque < 1.3 * TORQUE_SHARE * nominal.torque_limit[0])
+    assert np.all(torque < 1.3 * TORQUE_FRACTION * nominal.torque_limit[0])
 
 
 def test_joints_keep_clear_of_their_limits(serial: RobotDescription, plan: Plan):
@@ -57,8 +57,8 @@ def test_joints_keep_clear_of_their_limits(serial: RobotDescription, plan: Plan)
         limits = serial.urdf.joints[name].limits
         if limits is not None:
             low, high = sorted(serial.motor_sign[motor] * np.asarray(limits))
-            assert plan.angle_low[motor] >= low + LIMIT_ROOM - 1e-9
-            assert plan.angle_high[motor] <= high - LIMIT_ROOM + 1e-9
+            assert plan.angle_low[motor] >= low + LIMIT_MARGIN - 1e-9
+            assert plan.angle_high[motor] <= high - LIMIT_MARGIN + 1e-9
 
 
 def test_kinds_of_joints_move_one_after_another_and_then_together(serial: RobotDescription, plan: Plan):
@@ -69,13 +69,13 @@ def test_kinds_of_joints_move_one_after_another_and_then_together(serial: RobotD
             moving[phase.name] = np.ptp(values, axis=0) > 0.05
     assert [int(moved.sum()) for moved in moving.values()] == [4, 4, 4, 12]
     assert np.all(np.sum(list(moving.values())[:3], axis=0) == 1)
-    # From slow to fast: the turns of a chirp get closer.
+    # From slow to fast: the reversals of a chirp get closer.
     chirp = plan.phases[1]
     times = np.arange(0, chirp.duration, PERIOD)
     angle = np.array([chirp.signal(t, serial.resting_angles)[serial.leg_motor_index[0, 0]] for t in times])
     turns = times[1:-1][np.diff(np.sign(np.diff(angle))) != 0]
     assert turns[1] - turns[0] > 5 * (turns[-2] - turns[-3])
-    assert 1 / (2 * (turns[-3] - turns[-4])) == pytest.approx(BAND[1], rel=0.3)
+    assert 1 / (2 * (turns[-3] - turns[-4])) == pytest.approx(FREQUENCY_BAND[1], rel=0.3)
 
 
 def test_the_experiment_is_for_serial_legs_with_joint_actuators():

@@ -1,4 +1,4 @@
-"""Residuals of a robot on its rack."""
+"""Residuals of a replayed robot on its rack."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ def replayer(robot: RobotDescription) -> Replayer:
 
 @pytest.fixture(scope="module")
 def segment(recorded: Recording) -> Segment:
-    """Return a sweep, steps, the transition back, and duties, without the start at which the robot still moved."""
+    """Sweep, steps, transition back and duties, without the start, when the robot still moved."""
     whole = segment_from_recording(recorded, 1, 4)
-    kept = whole.state_time > 0.4
-    return replace(whole, state_time=whole.state_time[kept], states=whole.states[kept])
+    settled = whole.state_time > 0.4
+    return replace(whole, state_time=whole.state_time[settled], states=whole.states[settled])
 
 
 @pytest.fixture(scope="module")
 def model(
     robot: RobotDescription, recorded: Recording, nominal: PhysicalParams, replayer: Replayer, segment: Segment
 ) -> ReplayModel:
-    """Return the model of the nominal robot, whose sensors have noise."""
+    """Residual model of the recording of a nominal robot with noisy sensors."""
     return ReplayModel(UNKNOWNS, nominal, [rack_observations(robot, recorded, segment, replayer)], replayer.num_envs)
 
 
-def test_candidates_have_their_values_in_one_row_each(nominal: PhysicalParams):
+def test_each_candidate_has_one_row_of_parameters(nominal: PhysicalParams):
     values = np.array([[0.2, 0.8, 0.01, 0.3], [0.3, 0.9, 0.02, 0.3]])
     params = candidate_params(nominal, UNKNOWNS, values)
     np.testing.assert_array_equal(params.resistance, [0.2, 0.3])
@@ -62,25 +62,25 @@ def test_candidates_have_their_values_in_one_row_each(nominal: PhysicalParams):
 
 def test_residuals_of_the_true_robot_are_noise(model: ReplayModel):
     angle, velocity, torque = np.sqrt(np.mean(model.residuals(START).reshape(3, -1) ** 2, axis=1))
-    # Angles are read in steps of 2 pi / 2^14, which is a deviation of 1.1e-4 rad.
+    # Angles are quantized in steps of 2 pi / 2^14, a standard deviation of 1.1e-4 rad.
     assert angle == pytest.approx(1.1e-4 / NOISE[0], rel=0.2)
     assert velocity == pytest.approx(1.0, rel=0.15)
     assert torque == pytest.approx(1.0, rel=0.5)
     assert model.blocks.shape == model.residuals(START)[0].shape
 
 
-def test_a_motor_affects_the_residuals_of_its_leg_alone(model: ReplayModel, robot: RobotDescription):
+def test_a_motor_affects_only_the_residuals_of_its_leg(model: ReplayModel, robot: RobotDescription):
     values = np.tile(START, (4, 1))
     values[1, 1], values[2, 2], values[3, 3] = 0.9, 0.02, 0.1
     still, *moved = model.residuals(values)
     for k, residuals in zip((1, 2, 3), moved, strict=True):
-        # The engine solves for all loops at once: other legs feel rounding, 1e-5 of a reading's noise.
+        # The engine solves for all loops together, so other legs change by rounding errors, 1e-5 of the noise.
         affected, changed = model.affected(k), np.abs(residuals - still) > 1e-5
         np.testing.assert_array_equal(changed & ~affected, False)
         by_motor = changed.reshape(3, -1, 8).any(axis=1)
         pair = next(p for p in robot.leg_motor_index.tolist() if UNKNOWNS[k].index in p)
         if UNKNOWNS[k].name == TORQUE_GAIN:
-            # The report's error alone changes: the robot does not move otherwise.
+            # Only the report changes, not the motion of the robot.
             assert np.argwhere(by_motor).tolist() == [[2, 2]]
         else:
             assert by_motor[:, pair].all()
@@ -96,7 +96,7 @@ def test_a_leg_whose_motor_never_moves_is_left_out(
         angle[:, motors] = 1.7
         return replace(recorded, motor_angle=angle)
 
-    # Motor 3 is of the back left leg, as is motor 2.
+    # Motors 2 and 3 belong to the back left leg.
     assert moving_legs(robot, recorded).tolist() == list(range(8))
     assert moving_legs(robot, stuck(3)).tolist() == [0, 1, 4, 5, 6, 7]
     less = ReplayModel(UNKNOWNS, model.prior, [rack_observations(robot, stuck(3), segment, replayer)])

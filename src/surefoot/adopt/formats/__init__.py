@@ -1,1 +1,1 @@
-"""Readers of what other frameworks write beside their networks: each returns a `PolicySpecification`."""
+"""Readers of other frameworks' policy configurations; each returns a `PolicySpecification`."""

@@ -1,12 +1,12 @@
-"""Observations as Isaac Lab's managers make them, which mjlab and unitree_rl_lab share.
+"""Observation terms of Isaac Lab's managers, which mjlab and unitree_rl_lab share.
 
-A term is clipped, then scaled, then kept; its history is flattened with the oldest first, term after term. A history is
-full from the start: the first value fills it.
+A term is clipped, then scaled, then stored in its history. Histories are flattened term by term, oldest first. The
+first value fills the whole history.
 """
 
 from __future__ import annotations
 
-from surefoot.adopt.formats.reading import unknown_term
+from surefoot.adopt.formats.common import unknown_term
 from surefoot.adopt.specification import ObservationTerm, PerJoint, Range, TermName
 
 TERMS: dict[str, TermName] = {
@@ -18,23 +18,23 @@ TERMS: dict[str, TermName] = {
     **dict.fromkeys(("actions", "last_action", "prev_actions"), "last_action"),
     "gait_phase": "clock",
 }
-"""Terms by the names that they usually have, mjlab's own first."""
+"""Terms by their usual names, mjlab's name first."""
 
 
 def make_term(
     name: str, scale: PerJoint, clip: Range | None, length: int, period: float | None = None
 ) -> ObservationTerm:
-    """Return a term of Isaac Lab.
+    """Convert an observation term of Isaac Lab.
 
     Args:
-        name: its name.
-        scale: its scale.
-        clip: bounds before the scale.
-        length: steps of its history, the oldest first; 0 and 1 mean none.
-        period: of a gait's phase [s].
+        name: name of the term.
+        scale: scale of the term.
+        clip: bounds before scaling.
+        length: length of the history, oldest first; 0 and 1 mean no history.
+        period: period of a gait phase [s].
 
     Raises:
-        SurefootError: a term that is not known or not measured.
+        SurefootError: the term is unknown, or robots do not measure it.
     """
     if name not in TERMS:
         raise unknown_term(name, TERMS)

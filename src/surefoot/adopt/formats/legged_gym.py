@@ -1,7 +1,7 @@
-"""legged_gym (github.com/leggedrobotics/legged_gym) and what comes of it: the Python file of a robot's configuration.
+"""Format `legged_gym` (github.com/leggedrobotics/legged_gym) and its descendants: a robot's Python configuration.
 
-The file is parsed and not run: only the numbers, texts and tables that its classes assign are read, and arithmetic of
-these. What it does not assign has legged_gym's defaults. Joints are in Isaac Gym's order.
+The file is parsed but not run: only numbers, texts and tables that its classes assign, and arithmetic of these, are
+read. Missing values have legged_gym's defaults. Joints are in Isaac Gym's order.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from surefoot.adopt.formats.common import plain_joint_name, unread_keys, unread_note
 from surefoot.adopt.formats.python_values import Computed, read_classes
-from surefoot.adopt.formats.reading import plain_joint_name, unread, unread_note
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification, Range
 from surefoot.errors import SurefootError, choices, describe_os_errors, nearest, prefix_errors, quote
 from surefoot.files import read_configuration
@@ -33,11 +33,11 @@ _DEFAULTS: dict[str, Any] = {
     "commands.ranges.lin_vel_y": [-1.0, 1.0],
     "commands.ranges.ang_vel_yaw": [-1.0, 1.0],
 }
-"""legged_gym's own, where a robot's file says nothing (`legged_robot_config.py`)."""
+"""Defaults of legged_gym (`legged_robot_config.py`)."""
 _NEEDED = ("init_state.default_joint_angles", "control.stiffness", "control.damping")
 _OPTIONAL = ("env.num_observations",)
 _HIP_SCALES = ("control.hip_scale_reduction", "control.hip_reduction")
-"""Factors of the first joint of each leg, as walk-these-ways and HIMLoco name them."""
+"""Names of the action scale factor of each leg's first joint in walk-these-ways and HIMLoco."""
 _DEFAULT_KEYS = (
     *("init_state.pos", "init_state.rot", "init_state.lin_vel", "init_state.ang_vel"),
     *("commands.curriculum", "commands.max_curriculum", "commands.num_commands", "commands.resampling_time"),
@@ -45,46 +45,46 @@ _DEFAULT_KEYS = (
     *("env.num_envs", "env.num_privileged_obs", "env.num_actions", "env.env_spacing", "env.send_timeouts"),
     *("env.episode_length_s", "sim.substeps", "sim.gravity", "sim.up_axis"),
 )
-"""legged_gym's keys that change neither observations nor actions of a policy."""
-_JUDGED = ("control", "init_state", "normalization", "commands", "env", "sim")
-"""Sections whose unread keys are named."""
+"""Keys of legged_gym that affect neither observations nor actions of a policy."""
+_POLICY_SECTIONS = ("control", "init_state", "normalization", "commands", "env", "sim")
+"""Sections whose unread keys are reported."""
 _SECTIONS = (
-    *_JUDGED,
+    *_POLICY_SECTIONS,
     *("terrain", "asset", "domain_rand", "rewards", "noise", "viewer", "policy", "algorithm", "runner"),
 )
-"""Classes of legged_gym's configurations of an environment and of its learner."""
-_WITHOUT_SPEED = 45
-"""Numbers of an observation without the speed of the base: angular velocity, gravity, commands, joints, last action."""
+"""Classes of legged_gym's configurations of environments and learners."""
+_NUM_INPUTS = 45
+"""Width of an observation without base velocity: angular velocity, gravity, commands, joints and last action."""
 
 
-def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
-    """Read the specification of a policy; fields that are `given` need not be in the file.
+def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) -> PolicySpecification:
+    """Read the specification of a policy; the file need not have fields in `overrides`.
 
     Raises:
-        SurefootError: no Python, values that are missing or computed, or an observation that no sensor gives.
+        SurefootError: the file is not Python, a value is missing or computed, or no sensor provides an observation.
     """
     with describe_os_errors(config):
         source = read_configuration(config)
     with prefix_errors(config):
-        found = read_classes(source, _SECTIONS)
-        values = _DEFAULTS | found
+        assigned = read_classes(source, _SECTIONS)
+        values = _DEFAULTS | assigned
         for field, key in (("kp", "control.stiffness"), ("kd", "control.damping")):
-            if given.get(field) is not None and key not in values:
-                values[key] = {"": given[field]}
-        if given.get("control_step") is not None:
-            values |= {"sim.dt": given["control_step"], "control.decimation": 1}
+            if overrides.get(field) is not None and key not in values:
+                values[key] = {"": overrides[field]}
+        if overrides.get("control_step") is not None:
+            values |= {"sim.dt": overrides["control_step"], "control.decimation": 1}
         if missing := [key for key in _NEEDED if key not in values]:
-            near = [nearest(key.rpartition(".")[2], [one.rpartition(".")[2] for one in found]) for key in missing]
+            near = [nearest(key.rpartition(".")[2], [one.rpartition(".")[2] for one in assigned]) for key in missing]
             hints = [f"{key}{f' (did you mean {one}?)' if one else ''}" for key, one in zip(missing, near, strict=True)]
             raise SurefootError(f"{', '.join(hints)} {'is' if len(missing) == 1 else 'are'} missing")
-        if _known(values, "control.control_type") != "P":
-            raise SurefootError(f"control_type is {quote(values['control.control_type'])}; P alone can be adopted")
+        if _literal(values, "control.control_type") != "P":
+            raise SurefootError(f"control_type is {quote(values['control.control_type'])}; only P can be adopted")
         joints = _isaac_gym_order(robot)
-        count = int(_number(values, "env.num_observations")) if "env.num_observations" in values else _WITHOUT_SPEED
-        if count != _WITHOUT_SPEED:
+        count = int(_number(values, "env.num_observations")) if "env.num_observations" in values else _NUM_INPUTS
+        if count != _NUM_INPUTS:
             raise SurefootError(
-                f"num_observations is {count}; legged_gym's own {_WITHOUT_SPEED + 3} begin with the speed of the base, "
-                f"which no sensor gives. {_WITHOUT_SPEED} can be adopted: angular velocity, gravity, commands, joint "
+                f"num_observations is {count}; legged_gym's own {_NUM_INPUTS + 3} begin with the speed of the base, "
+                f"which no sensor measures. {_NUM_INPUTS} can be adopted: angular velocity, gravity, commands, joint "
                 "positions and speeds, last action; for any other observation, use --from manual"
             )
         scales = {
@@ -118,7 +118,7 @@ def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> Pol
                 "observations": "observation: angular velocity, gravity, commands, joint positions and speeds, last "
                 "action is assumed; the file does not say it",
                 **hips,
-                **unread_note(_unread_keys(found)),
+                **unread_note(_unread_keys(assigned)),
             },
             forward=forward,
             sideways=sideways,
@@ -132,7 +132,7 @@ _RANGES = ("lin_vel_x", "lin_vel_y", "ang_vel_yaw")
 def _action_scale(
     values: Mapping[str, Any], robot: RobotDescription, joints: tuple[str, ...]
 ) -> tuple[float | tuple[float, ...], dict[str, str]]:
-    """Return the scale of actions with the reduction of the hips, and a note about that."""
+    """Return the action scale including the reduction for hips, and a note about it."""
     scale = _number(values, "control.action_scale")
     factor = 1.0
     for key in _HIP_SCALES:
@@ -140,32 +140,31 @@ def _action_scale(
     if factor == 1.0:
         return scale, {}
     hips = {leg.motors[0] for leg in robot.legs}
-    note = f"scale of actions: that of the first joint of each leg is {scale * factor:g} rad, as the file reduces it"
+    note = f"scale of actions: for the first joint of each leg it is {scale * factor:g} rad, as the file reduces it"
     return tuple(scale * (factor if joint in hips else 1.0) for joint in joints), {"action_scale": note}
 
 
-def _unread_keys(found: Mapping[str, Any]) -> list[str]:
-    """Return the keys of sections that concern a policy, and whole sections of unknown names, that are not read."""
+def _unread_keys(assigned: Mapping[str, Any]) -> list[str]:
+    """Return unread keys of sections that affect a policy, and unknown sections."""
     read = [*_DEFAULTS, *_NEEDED, *_OPTIONAL, *_HIP_SCALES]
-    judged, sections = {}, {}
-    for key, value in found.items():
+    policy_keys, sections = {}, {}
+    for key, value in assigned.items():
         section, _, name = key.partition(".")
-        shown = value.text if isinstance(value, Computed) else value
-        if section in _JUDGED and not key.startswith("sim.physx."):
-            judged[key] = shown
+        if section in _POLICY_SECTIONS and not key.startswith("sim.physx."):
+            policy_keys[key] = value.text if isinstance(value, Computed) else value
         elif name and section not in _SECTIONS:
             sections[section] = "a class"
-    return unread(judged, read, _DEFAULT_KEYS) + unread(sections, _SECTIONS)
+    return unread_keys(policy_keys, read, _DEFAULT_KEYS) + unread_keys(sections, _SECTIONS)
 
 
 def _isaac_gym_order(robot: RobotDescription) -> tuple[str, ...]:
-    """Return the joints leg by leg, the legs by the names of their first joints: FL FR RL RR."""
+    """Return the joints leg by leg, with legs sorted by the name of their first joint: FL FR RL RR."""
     legs = sorted(robot.legs, key=lambda leg: leg.motors[0])
     return tuple(motor for leg in legs for motor in leg.motors)
 
 
-def _known(values: Mapping[str, Any], key: str) -> Any:
-    """Return a value; refuse one that is computed."""
+def _literal(values: Mapping[str, Any], key: str) -> Any:
+    """Return a value; reject a computed value."""
     value = values.get(key)
     if isinstance(value, Computed):
         raise SurefootError(f"{key} is computed ({quote(value.text)}); write the value itself")
@@ -173,28 +172,28 @@ def _known(values: Mapping[str, Any], key: str) -> Any:
 
 
 def _number(values: Mapping[str, Any], key: str) -> float:
-    value = _known(values, key)
+    value = _literal(values, key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise SurefootError(f"{key} is {'missing' if value is None else quote(value)}; it must be a number")
     return float(value)
 
 
 def _pair(values: Mapping[str, Any], key: str) -> Range:
-    value = _known(values, key)
+    value = _literal(values, key)
     if not isinstance(value, list | tuple) or len(value) != 2 or not all(isinstance(x, int | float) for x in value):
         raise SurefootError(f"{key} is {quote(value)}; it must be two numbers")
     return float(value[0]), float(value[1])
 
 
 def _joint_value(values: Mapping[str, Any], key: str, joint: str, whole: bool = False) -> float:
-    """Return the value of a joint in a table: under its own name or, in tables of gains, under a part of it."""
-    table = _known(values, key)
+    """Look up a joint in a table: by its name or, for gains (not `whole`), by a part of its name."""
+    table = _literal(values, key)
     if not isinstance(table, dict):
         raise SurefootError(f"{key} is {'missing' if table is None else quote(table)}; it must be a table of joints")
-    found = [value for name, value in table.items() if name == joint or (not whole and str(name) in joint)]
-    if not found:
+    matches = [value for name, value in table.items() if name == joint or (not whole and str(name) in joint)]
+    if not matches:
         plain = plain_joint_name(joint)
-        found = [value for name, value in table.items() if plain_joint_name(str(name)) == plain]
-    if len(found) != 1 or isinstance(found[0], bool) or not isinstance(found[0], int | float):
+        matches = [value for name, value in table.items() if plain_joint_name(str(name)) == plain]
+    if len(matches) != 1 or isinstance(matches[0], bool) or not isinstance(matches[0], int | float):
         raise SurefootError(f"{key} is for {choices(table)}; it must have one number for {joint}")
-    return float(found[0])
+    return float(matches[0])

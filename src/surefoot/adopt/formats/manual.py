@@ -1,4 +1,4 @@
-"""A YAML file that states all of a `PolicySpecification`, for whatever has no format of its own."""
+"""Format `manual`: a YAML file with a complete `PolicySpecification`, for frameworks without a reader."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import yaml
 
-from surefoot.adopt.formats.reading import why_unmeasured
+from surefoot.adopt.formats.common import unmeasured_reason
 from surefoot.adopt.specification import PolicySpecification, TermName
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote
@@ -17,11 +17,11 @@ from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
 
 
-def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
-    """Read the specification of a policy; `given` fields replace those of the file.
+def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) -> PolicySpecification:
+    """Read the specification of a policy; `overrides` replace fields of the file.
 
     Raises:
-        SurefootError: a file without what is needed, or with a key that a specification does not have.
+        SurefootError: the file lacks a field, or has a key that a specification does not have.
     """
     table = read_yaml(config)
     with prefix_errors(config):
@@ -30,14 +30,14 @@ def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> Pol
         terms = table.get("observations")
         for place, term in enumerate(terms if isinstance(terms, list) else []):
             name = term.get("term") if isinstance(term, Mapping) else None
-            if isinstance(name, str) and name not in get_args(TermName) and (reason := why_unmeasured(name)):
+            if isinstance(name, str) and name not in get_args(TermName) and (reason := unmeasured_reason(name)):
                 where = f"observations[{place}].term is {quote(name)}, which {reason}"
                 raise SurefootError(f"{where}; such a policy can't be adopted")
-        return from_mapping(PolicySpecification, {**table, **given})
+        return from_mapping(PolicySpecification, {**table, **overrides})
 
 
 def write(path: Path, specification: PolicySpecification) -> None:
-    """Write a specification as a file that `read` takes; fields that have their defaults are left out."""
+    """Write a specification to a file for `read`; fields with default values are omitted."""
     table = _without_defaults(specification)
     table["observations"] = [_without_defaults(term) for term in specification.observations]
     text = yaml.safe_dump(table, sort_keys=False, default_flow_style=None, width=110)
@@ -47,7 +47,7 @@ def write(path: Path, specification: PolicySpecification) -> None:
 
 
 def _without_defaults(config: Any) -> dict[str, Any]:
-    """Return a dataclass as a table, without the fields that have their defaults."""
+    """Return a dataclass as a table without fields that have default values."""
     made = to_mapping(config)
     defaults = {item.name: item.default for item in dataclasses.fields(config)}
     return {name: made[name] for name in made if getattr(config, name) not in (defaults[name], {})}

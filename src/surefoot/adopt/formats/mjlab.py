@@ -1,7 +1,7 @@
-"""mjlab (github.com/mujocolab/mjlab): properties of the ONNX file that its trainings write.
+"""Format `mjlab` (github.com/mujocolab/mjlab): metadata properties of the ONNX file that its trainings write.
 
-Joints, gains, default pose and scale of actions are in the same order. Values have three decimals. The control step is
-not written.
+Joints, gains, default pose and action scale are in the same order. Values have three decimals. The control step is not
+written.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.adopt.formats.common import unread_keys, unread_note
 from surefoot.adopt.formats.isaac_lab import make_term
-from surefoot.adopt.formats.reading import unread, unread_note
 from surefoot.adopt.onnx_network import read_model
 from surefoot.adopt.onnx_weights import read_network
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification, Range
@@ -22,7 +22,7 @@ from surefoot.errors import SurefootError, prefix_errors, quote
 from surefoot.robot import RobotDescription
 
 _CONTROL_STEP = 0.02
-"""mjlab's usual control step [s]: four steps of 5 ms."""
+"""mjlab's usual control step [s]: four simulation steps of 5 ms."""
 _LISTS = ("joint_names", "joint_stiffness", "joint_damping", "default_joint_pos", "action_scale", "observation_names")
 _OPTIONAL = {
     "observation_terms_scale": "scale",
@@ -31,23 +31,23 @@ _OPTIONAL = {
     "observation_term_clip": "clip",
     "observation_history_lengths": "history",
 }
-"""Properties of some versions, with a value for each observation."""
+"""Properties that only some versions write, with one value per observation."""
 _HARMLESS = ("run_path", "command_names", "observation_terms_flatten_history_dim", "git", "version", "task", "date")
-"""Properties that change neither observations nor actions."""
+"""Properties that affect neither observations nor actions."""
 
 
-def read(path: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
-    """Read the specification of a policy from the properties of its network; `given` fields need not be in it.
+def read(path: Path, robot: RobotDescription, overrides: Mapping[str, Any]) -> PolicySpecification:
+    """Read the specification of a policy from its network's properties, which need not have fields in `overrides`.
 
     Raises:
-        SurefootError: no ONNX, a property that is missing, or an observation that is not known.
+        SurefootError: the file is not ONNX, a property is missing, or an observation is unknown.
     """
     data = read_network(path)
     with prefix_errors(path):
         properties = {one.key: one.value for one in read_model(data).metadata_props}
         for field, name in (("kp", "joint_stiffness"), ("kd", "joint_damping")):
-            if given.get(field) is not None and name not in properties:
-                properties[name] = ",".join([f"{given[field]}"] * len(properties.get("joint_names", "").split(",")))
+            if overrides.get(field) is not None and name not in properties:
+                properties[name] = ",".join([f"{overrides[field]}"] * len(properties.get("joint_names", "").split(",")))
         if missing := [name for name in _LISTS if name not in properties]:
             raise SurefootError(f"has no property {', '.join(missing)}; mjlab's exporter writes {', '.join(_LISTS)}")
         joints = tuple(name.strip().rpartition("/")[2] for name in properties["joint_names"].split(","))
@@ -77,14 +77,16 @@ def read(path: Path, robot: RobotDescription, given: Mapping[str, Any]) -> Polic
             notes={
                 **silent,
                 "forward": "commands: mjlab does not write their ranges; --forward and others set them",
-                **_doubts(joints, stiffness, damping),
-                **unread_note(unread(properties, (*_LISTS, *_OPTIONAL, "action_offset", "control_step"), _HARMLESS)),
+                **_gain_notes(joints, stiffness, damping),
+                **unread_note(
+                    unread_keys(properties, (*_LISTS, *_OPTIONAL, "action_offset", "control_step"), _HARMLESS)
+                ),
             },
         )
 
 
 def _numbers(properties: dict[str, str], name: str) -> tuple[float, ...]:
-    """Return a list of numbers."""
+    """Parse a property that is a list of numbers."""
     try:
         return tuple(float(word) for word in properties[name].strip("[]").split(","))
     except ValueError:
@@ -94,7 +96,7 @@ def _numbers(properties: dict[str, str], name: str) -> tuple[float, ...]:
 
 
 def _items(text: str) -> list[list[float]]:
-    """Return a list of numbers, or of lists of numbers, as lists."""
+    """Parse a list of numbers, or of lists of numbers, as a list of lists."""
     words = re.findall(r"\[[^\]]*\]|[^,\[\]\s]+", text)
     try:
         return [[float(number) for number in word.strip("[]").split(",")] for word in words]
@@ -124,26 +126,26 @@ def _terms(properties: dict[str, str]) -> tuple[ObservationTerm, ...]:
     return tuple(terms)
 
 
-def _doubts(joints: tuple[str, ...], stiffness: tuple[float, ...], damping: tuple[float, ...]) -> dict[str, str]:
-    """Return what looks wrong with the gains; versions of mjlab up to November 2025 wrote some wrongly.
+def _gain_notes(joints: tuple[str, ...], stiffness: tuple[float, ...], damping: tuple[float, ...]) -> dict[str, str]:
+    """Return a note if the gains look wrong; versions of mjlab up to November 2025 wrote some wrongly.
 
-    Those of actuators that compute torques themselves were 1 and 0, and others stood in the order of the actuators.
+    Gains of actuators that compute torques themselves were 1 and 0, others were in the order of the actuators.
     """
     if len(stiffness) != len(joints) or len(damping) != len(joints):
         return {}
     if min(damping) <= 0 or max(stiffness) <= 1.0:
         return {
             "kp": f"gains look wrong: joint_stiffness is {min(stiffness):g} to {max(stiffness):g} and joint_damping "
-            f"{min(damping):g} to {max(damping):g}; mjlab does not write those of actuators that compute torques "
+            f"{min(damping):g} to {max(damping):g}; mjlab does not write gains of actuators that compute torques "
             "themselves: set --kp and --kd to the training's"
         }
     kinds: dict[str, set[tuple[float, float]]] = {}
     for joint, *gains in zip(joints, stiffness, damping, strict=True):
         kinds.setdefault(joint.partition("_")[2], set()).add((gains[0], gains[1]))
-    different = [kind for kind, found in kinds.items() if len(found) > 1]
+    different = [kind for kind, gains_of_kind in kinds.items() if len(gains_of_kind) > 1]
     if different and len(kinds) > 1:
         return {
-            "kp": f"gains look wrong: those of {different[0]} differ from leg to leg; mjlab wrote them in the order of "
+            "kp": f"gains look wrong: for {different[0]} they differ from leg to leg; mjlab wrote them in the order of "
             "the actuators until November 2025: compare with the training, and set --kp and --kd"
         }
     return {}

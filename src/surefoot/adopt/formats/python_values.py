@@ -1,6 +1,6 @@
-"""Numbers, texts and tables that the classes of a Python file assign, read without running the file.
+"""Static reader of the numbers, strings and dictionaries that the classes of a Python file assign; the file is not run.
 
-Arithmetic of literals and of names that were assigned before is folded. Whatever else is assigned is a `Computed`.
+Arithmetic of literals and previously assigned names is evaluated. Any other assigned value becomes a `Computed`.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ Scope = dict[str, Any]
 
 
 class Computed(NamedTuple):
-    """A value that only a run of the file would give."""
+    """A value that can't be determined without running the file."""
 
     text: str
-    """The expression, as the file has it."""
+    """Source text of the expression."""
 
 
 class _NotLiteralError(Exception):
-    """An expression that is not made of literals."""
+    """An expression does not consist of literals."""
 
 
 def read_classes(source: bytes, sections: tuple[str, ...]) -> dict[str, Any]:
-    """Return what the classes of a Python file assign, by dotted name below the outermost class.
+    """Return the values that the classes of a Python file assign, by dotted name below the top-level class.
 
-    Where several classes of the outermost level assign the same, the last one counts.
+    If several top-level classes assign the same name, the last one wins.
 
     Args:
-        source: the file.
-        sections: names of classes that count as inside of one where they are the outermost themselves.
+        source: content of the file.
+        sections: names of classes that are treated as nested even if they are at the top level.
 
     Raises:
-        SurefootError: no Python.
+        SurefootError: the file is not Python.
     """
     try:
         tree = ast.parse(source)
@@ -61,7 +61,7 @@ def read_classes(source: bytes, sections: tuple[str, ...]) -> dict[str, Any]:
             _visit(item.body, f"{item.name}." if item.name in sections else "", 0, module, values)
         else:
             _assign(item, "", {}, module, {}, module)
-            values.update(_from_outside(item, module))
+            values.update(_attribute_assignments(item, module))
     return values
 
 
@@ -76,23 +76,23 @@ def _visit(body: list[ast.stmt], prefix: str, depth: int, module: Scope, values:
 
 
 def _assign(item: ast.stmt, prefix: str, own: Scope, module: Scope, values: dict[str, Any], scope: Scope) -> None:
-    """Put what a statement assigns to names into `scope` and, by dotted name, into `values`."""
+    """Store the names that a statement assigns in `scope` and, by dotted name, in `values`."""
     if isinstance(item, ast.Assign | ast.AnnAssign) and item.value is not None:
         targets = item.targets if isinstance(item, ast.Assign) else [item.target]
-        made = _fold_or_computed(item.value, {**module, **own})
-        names = {one.id: made for one in targets if isinstance(one, ast.Name)}
+        value = _fold_or_computed(item.value, {**module, **own})
+        names = {one.id: value for one in targets if isinstance(one, ast.Name)}
     elif isinstance(item, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Import | ast.ImportFrom):
         return
-    else:  # a branch, a loop, an addition: only a run says what it leaves
+    else:  # a branch, loop or augmented assignment, whose result is unknown without running it
         stored = (one.id for one in ast.walk(item) if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store))
         names = {name: Computed(_text(item)) for name in stored}
     scope.update(names)
     values.update({f"{prefix}{name}": value for name, value in names.items()})
 
 
-def _from_outside(item: ast.stmt, module: Scope) -> dict[str, Any]:
-    """Return what a statement of the outermost level assigns to attributes, such as `Config.control.decimation = 4`."""
-    found = {}
+def _attribute_assignments(item: ast.stmt, module: Scope) -> dict[str, Any]:
+    """Return the attributes that a top-level statement assigns, such as `Config.control.decimation = 4`."""
+    assigned = {}
     for one in ast.walk(item):
         if isinstance(one, ast.Attribute) and isinstance(one.ctx, ast.Store):
             names, inner = [one.attr], one.value
@@ -101,8 +101,8 @@ def _from_outside(item: ast.stmt, module: Scope) -> dict[str, Any]:
                 inner = inner.value
             plain = isinstance(item, ast.Assign | ast.AnnAssign) and item.value is not None
             value = _fold_or_computed(item.value, module) if plain else Computed(_text(item))  # type: ignore[attr-defined]
-            found[".".join(names)] = value
-    return found
+            assigned[".".join(names)] = value
+    return assigned
 
 
 def _fold_or_computed(node: ast.expr, scope: Mapping[str, Any]) -> Any:
@@ -117,7 +117,7 @@ def _text(node: ast.AST) -> str:
 
 
 def _fold(node: ast.expr, scope: Mapping[str, Any], depth: int) -> Any:
-    """Return the value of an expression of literals, of arithmetic and of names in a scope."""
+    """Evaluate an expression of literals, arithmetic and names in a scope."""
     if depth > 50:
         raise _NotLiteralError
     fold = lambda part: _fold(part, scope, depth + 1)  # noqa: E731

@@ -1,8 +1,9 @@
-"""rl_sar (github.com/fan-ziqi/rl_sar): `config.yaml` of a policy, and `base.yaml` of its robot.
+"""Format `rl_sar` (github.com/fan-ziqi/rl_sar): `config.yaml` of a policy, and `base.yaml` of its robot.
 
-Observations are scaled, then clipped; histories are clipped observations, 0 the newest. Since version 3, joint k of the
-policy is motor `joint_mapping[k]` of the robot. Before, one flat table named a framework: lists are leg by leg in the
-order of `joint_controller_names`, and those of isaacsim with `rows` and `cols` are transposed to all hips first.
+Observations are scaled, then clipped; histories store clipped observations, and age 0 is the newest. Since version 3,
+joint k of the policy is motor `joint_mapping[k]` of the robot. Older files have one flat table that names a framework:
+lists are leg by leg in the order of `joint_controller_names`; for isaacsim with `rows` and `cols` they are transposed
+to all hips first.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from surefoot.adopt.formats.reading import field_names, matched_joints, pick, unknown_term, unread, unread_note
+from surefoot.adopt.formats.common import field_names, from_table, match_joints, unknown_term, unread_keys, unread_note
 from surefoot.adopt.specification import ObservationTerm, PerJoint, PolicySpecification, TermName
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors
@@ -28,22 +29,22 @@ TERMS: dict[str, TermName] = {
     "actions": "last_action",
     **dict.fromkeys(("ang_vel", "ang_vel_body", "ang_vel_world", "ang_vel_axis"), "angular_velocity"),
 }
-"""Terms by their names."""
+"""Observation terms by rl_sar's names."""
 _CLOCKS = {"phase": (4.0, 8.0, 16.0), "g1_phase": (0.8,)}
-"""Periods [s] of the clocks of an observation."""
+"""Periods [s] of clocks by the name of the observation."""
 _HARMLESS = (
     *("model_name", "framework", "rows", "cols", "num_observations", "num_of_dofs", "torque_limits", "lin_vel_scale"),
     *("fixed_kp", "fixed_kd", "joint_names", "joint_controller_names", "command_mapping", "state_mapping"),
     *("action_scale_wheel", "stiffness", "damping"),
 )
-"""Keys that change neither observations nor actions, or that are read as others."""
-_BEFORE_3 = "framework"
-"""Key of files before version 3."""
+"""Keys that affect neither observations nor actions, or that other keys replace."""
+_OLD_FORMAT_KEY = "framework"
+"""Key that only files before version 3 have."""
 
 
 @dataclass(frozen=True)
 class _Config:
-    """What is read of both files; see rl_sar."""
+    """Keys of both files that the reader uses, with rl_sar's names."""
 
     observations: tuple[str, ...]
     default_dof_pos: tuple[float, ...]
@@ -69,26 +70,26 @@ class _Config:
     use_history: bool = False
 
 
-def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
+def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) -> PolicySpecification:
     """Read the specification of a policy.
 
     Args:
         config: its `config.yaml`; `base.yaml` is taken from the same folder or the one above.
-        robot: the robot; its motors are in the order of the hardware, where `base.yaml` has no names.
-        given: fields of the specification that the user gives, so that the files need not state them.
+        robot: the robot; its motor order is the hardware's order, unless `base.yaml` has names.
+        overrides: fields of the specification from the user, which the files need not have.
 
     Raises:
-        SurefootError: files without what is needed, or an observation that is not known.
+        SurefootError: a file is missing or incomplete, or an observation is unknown.
     """
-    own = _only_table(config)
+    own = _single_table(config)
     bases = [folder / "base.yaml" for folder in (config.parent, config.parent.parent)]
-    base = next((_only_table(path) for path in bases if path.is_file() and path != config), {})
+    base = next((_single_table(path) for path in bases if path.is_file() and path != config), {})
     with prefix_errors(config):
-        data, notes = {**base, **own, **_given_keys(given)}, {}
+        data, notes = {**base, **own, **_override_keys(overrides)}, {}
         names = _hardware_names(base, robot)
-        if _BEFORE_3 in own and "joint_mapping" not in data:
+        if _OLD_FORMAT_KEY in own and "joint_mapping" not in data:
             with prefix_errors("rl_sar's format before version 3"):
-                names, note = _names_before_3(data, robot)
+                names, note = _old_format_joints(data, robot)
             data["joint_mapping"], notes["joints"] = list(range(len(names))), note
             table = _pick(data, "rl_sar's format before version 3; ")
         else:
@@ -126,36 +127,36 @@ def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> Pol
             notes={
                 "forward": "commands: rl_sar's files do not say which were trained; --forward and others set them",
                 **notes,
-                **unread_note(unread(data, field_names(_Config), _HARMLESS)),
+                **unread_note(unread_keys(data, field_names(_Config), _HARMLESS)),
             },
         )
 
 
 def _pick(data: Mapping[str, Any], what: str) -> _Config:
-    """Return what is read of a table; an error names all that is missing, after what format it is."""
+    """Parse a table; an error begins with `what`, the format, and names options that replace missing keys."""
     try:
-        return pick(_Config, data)
+        return from_table(_Config, data)
     except SurefootError as error:
-        ways = {"dt": "--control-step", "rl_kp": "--kp", "rl_kd": "--kd"}
-        missing = [option for name, option in ways.items() if data.get(name) is None]
-        hint = f" ({', '.join(missing)} would do)" if missing and "missing" in str(error) else ""
+        options = {"dt": "--control-step", "rl_kp": "--kp", "rl_kd": "--kd"}
+        missing = [option for name, option in options.items() if data.get(name) is None]
+        hint = f" ({', '.join(missing)} replaces it)" if missing and "missing" in str(error) else ""
         raise SurefootError(f"{what}{error}{hint}") from error
 
 
-def _given_keys(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the keys of a table that say what the user gives."""
+def _override_keys(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the user's fields as keys of a table."""
     keys: dict[str, Any] = {
-        name: given[field] for field, name in (("kp", "rl_kp"), ("kd", "rl_kd")) if given.get(field) is not None
+        name: overrides[field] for field, name in (("kp", "rl_kp"), ("kd", "rl_kd")) if overrides.get(field) is not None
     }
-    if given.get("control_step") is not None:
-        keys |= {"dt": given["control_step"], "decimation": 1}
+    if overrides.get("control_step") is not None:
+        keys |= {"dt": overrides["control_step"], "decimation": 1}
     return keys
 
 
-def _names_before_3(data: dict[str, Any], robot: RobotDescription) -> tuple[list[str], str]:
-    """Return the joints in the order of the lists of an old file, and a note about it.
+def _old_format_joints(data: dict[str, Any], robot: RobotDescription) -> tuple[list[str], str]:
+    """Return the joints in the order of the lists in a file before version 3, and a note about the order.
 
-    Gains that it states as one number each are put in their places.
+    Single-number gains `stiffness` and `damping` are copied to `rl_kp` and `rl_kd`.
     """
     for old, new in (("stiffness", "rl_kp"), ("damping", "rl_kd")):
         if new not in data and isinstance(data.get(old), int | float):
@@ -166,37 +167,37 @@ def _names_before_3(data: dict[str, Any], robot: RobotDescription) -> tuple[list
         return [
             *robot.motor_names
         ], f"order of joints: the file does not say it; the robot's is assumed, {first} and so on"
-    found = matched_joints(map(str, controllers), robot.motor_names)
-    if found is None or {*found} != {*robot.motor_names}:
+    motors = match_joints(map(str, controllers), robot.motor_names)
+    if motors is None or {*motors} != {*robot.motor_names}:
         raise SurefootError(
             f"joint_controller_names are {choices(controllers)}; {robot.name} has {choices(robot.motor_names)}"
         )
-    return [*found], "order of joints: that of joint_controller_names"
+    return [*motors], "order of joints: as in joint_controller_names"
 
 
 def _order(table: _Config, own: Mapping[str, Any]) -> tuple[tuple[int, ...], str]:
-    """Return the place in the file's lists of each joint of the network, and a note about it."""
+    """Return the index in the file's lists of each joint of the network, and a note about it."""
     count, rows, columns = len(table.joint_mapping), own.get("rows"), own.get("cols")
     same = tuple(range(count))
-    if own.get(_BEFORE_3) != "isaacsim" or not isinstance(rows, int) or not isinstance(columns, int):
+    if own.get(_OLD_FORMAT_KEY) != "isaacsim" or not isinstance(rows, int) or not isinstance(columns, int):
         return same, ""
     if rows * columns != count:
         raise SurefootError(f"rows and cols are {rows} and {columns}; there are {count} joints")
     if table.hip_scale_reduction_indices == same[::columns]:
-        return same, "leg by leg, as hip_scale_reduction_indices have them, although framework is isaacsim"
+        return same, "leg by leg as in hip_scale_reduction_indices, although framework is isaacsim"
     order = tuple(np.arange(count).reshape(rows, columns).T.ravel().tolist())
-    return order, "all hips first, then all thighs, then all calves, as framework isaacsim with rows and cols has them"
+    return order, "all hips first, then all thighs, then all calves, as for framework isaacsim with rows and cols"
 
 
 def _reordered(values: Any, order: tuple[int, ...]) -> Any:
-    """Return numbers of joints in the network's order."""
+    """Reorder per-joint numbers to the network's order."""
     return (
         tuple(values[place] for place in order) if isinstance(values, tuple) and len(values) == len(order) else values
     )
 
 
 def _action_scale(table: _Config, order: tuple[int, ...]) -> tuple[PerJoint, str]:
-    """Return the scale of the network's joints with the reduction of the hips, and a note about that."""
+    """Return the action scale including the reduction for hips, and a note about it."""
     own: PerJoint = _reordered(table.action_scale, order)
     if table.hip_scale_reduction == 1.0 or not table.hip_scale_reduction_indices:
         return own, ""
@@ -211,10 +212,10 @@ def _action_scale(table: _Config, order: tuple[int, ...]) -> tuple[PerJoint, str
     return tuple(scale.tolist()), f"{note}observed without it"
 
 
-def _only_table(path: Path) -> dict[str, Any]:
-    """Return the one table of a file, or that of its folder's name; the file itself, if it is one flat table."""
+def _single_table(path: Path) -> dict[str, Any]:
+    """Return the single table of a file, or the table with its folder's name; or the whole file if it is flat."""
     data = read_yaml(path)
-    if "observations" in data or (_BEFORE_3 in data and "decimation" in data):
+    if "observations" in data or (_OLD_FORMAT_KEY in data and "decimation" in data):
         return data
     tables = {name: table for name, table in data.items() if isinstance(table, dict)}
     if len(tables) == 1:
@@ -222,21 +223,21 @@ def _only_table(path: Path) -> dict[str, Any]:
     for name, table in tables.items():
         if name.rpartition("/")[2] == path.parent.name:
             return table
-    raise SurefootError(f"{path}: holds {choices(data)}; rl_sar has one table in it, such as 'go2/himloco'")
+    raise SurefootError(f"{path}: holds {choices(data)}; a file of rl_sar has one table, such as 'go2/himloco'")
 
 
 def _hardware_names(base: dict[str, Any], robot: RobotDescription) -> list[str]:
-    """Return the joints in the order of the hardware."""
+    """Return the joint names in the order of the hardware."""
     joints, mapping = base.get("joint_names"), base.get("joint_mapping")
     if not joints or not mapping:
         return [*robot.motor_names]
     if len(joints) != len(mapping) or sorted(mapping) != [*range(len(joints))]:
-        raise SurefootError("base.yaml: joint_names and joint_mapping must be as many, and each motor in them")
+        raise SurefootError("base.yaml: joint_names and joint_mapping must be equally long, with each motor once")
     return [str(joints[mapping.index(motor)]) for motor in range(len(joints))]
 
 
 def _terms(name: str, table: _Config, steps: tuple[int, ...]) -> list[ObservationTerm]:
-    """Return the terms of an observation of rl_sar."""
+    """Convert an observation of rl_sar to terms."""
     if name in TERMS:
         scales: dict[str, PerJoint] = {
             "command": table.commands_scale,

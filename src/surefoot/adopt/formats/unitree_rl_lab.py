@@ -1,7 +1,7 @@
-"""unitree_rl_lab (github.com/unitreerobotics/unitree_rl_lab): `deploy.yaml`, which its trainings write.
+"""Format `unitree_rl_lab` (github.com/unitreerobotics/unitree_rl_lab): `deploy.yaml`, which its trainings write.
 
-Joint k of the policy is motor `joint_ids_map[k]` of the vendor's order. Gains stand in the vendor's order; default
-pose, scale and offset of actions in the policy's.
+Joint k of the policy is motor `joint_ids_map[k]` in the vendor's order. Gains are in the vendor's order; default pose,
+action scale and action offset are in the policy's order.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from surefoot.adopt.formats.common import field_names, from_table, unread_keys, unread_note
 from surefoot.adopt.formats.isaac_lab import make_term
-from surefoot.adopt.formats.reading import field_names, pick, unread, unread_note
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification, Range
 from surefoot.configuration import read_yaml
 from surefoot.errors import SurefootError, choices, prefix_errors, quote
@@ -59,34 +59,37 @@ class _Config:
     commands: dict[str, Any] = field(default_factory=dict)
 
 
-def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> PolicySpecification:
-    """Read the specification of a policy; the robot's motors are in the vendor's order.
+def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) -> PolicySpecification:
+    """Read the specification of a policy; the robot's motors must be in the vendor's order.
 
-    Fields that are `given` need not be in the file.
+    The file need not have fields in `overrides`.
 
     Raises:
-        SurefootError: a file without what is needed, or an observation that is not known.
+        SurefootError: the file is missing or incomplete, or an observation is unknown.
     """
     data = read_yaml(config)
     with prefix_errors(config):
         count = robot.num_motors
-        stated = {"step_dt": given.get("control_step")}
+        stated = {"step_dt": overrides.get("control_step")}
         stated |= {
-            name: [given[field]] * count for field, name in (("kp", "stiffness"), ("kd", "damping")) if field in given
+            name: [overrides[field]] * count
+            for field, name in (("kp", "stiffness"), ("kd", "damping"))
+            if field in overrides
         }
         data = {**{name: value for name, value in stated.items() if value is not None}, **data}
-        table = pick(_Config, data)
+        table = from_table(_Config, data)
         if sorted(table.joint_ids_map) != [*range(count)]:
             raise SurefootError(f"joint_ids_map is {list(table.joint_ids_map)}; each of {count} motors must be in it")
         for name in ("stiffness", "damping"):
             if len(getattr(table, name)) != count:
                 raise SurefootError(f"{name} has {len(getattr(table, name))} numbers; {robot.name} has {count} motors")
         if list(table.actions) != [_ACTION]:
-            raise SurefootError(f"actions are {choices(table.actions) or 'none'}; {_ACTION} alone can be adopted")
-        action = pick(_Action, table.actions[_ACTION] or {})
+            raise SurefootError(f"actions are {choices(table.actions) or 'none'}; only {_ACTION} can be adopted")
+        action = from_table(_Action, table.actions[_ACTION] or {})
         terms, by_step, ignored = _terms(table)
-        ignored += unread(data, field_names(_Config))
-        ignored += unread(table.actions[_ACTION] or {}, field_names(_Action), _ACTION_HARMLESS, f"actions.{_ACTION}.")
+        ignored += unread_keys(data, field_names(_Config))
+        options = table.actions[_ACTION] or {}
+        ignored += unread_keys(options, field_names(_Action), _ACTION_HARMLESS, f"actions.{_ACTION}.")
         ranges = _command_ranges(table)
         silent = {} if ranges else {"forward": "commands: the file states no ranges; --forward and others set them"}
         low_high = np.array(action.clip or [], float).T
@@ -107,11 +110,11 @@ def read(config: Path, robot: RobotDescription, given: Mapping[str, Any]) -> Pol
 
 
 def _terms(table: _Config) -> tuple[tuple[ObservationTerm, ...], bool, list[str]]:
-    """Return the terms, whether their histories are in order of steps, and keys that are not read."""
+    """Return the terms, whether histories are ordered step by step, and unread keys."""
     group = table.observations
     names = [name for name in group if name not in _SWITCHES]
     if names and all(isinstance(group[name], Mapping) and "params" not in group[name] for name in names):
-        # Terms have params; else there is a group for each input of the network.
+        # A term has params; otherwise the entry is a group of terms for one input of the network.
         if len(names) > 1:
             raise SurefootError(f"observations are for {len(names)} inputs ({choices(names)}); one can be adopted")
         group = group[names[0]]
@@ -120,8 +123,8 @@ def _terms(table: _Config) -> tuple[tuple[ObservationTerm, ...], bool, list[str]
     for name in names:
         if not isinstance(group[name], Mapping):
             raise SurefootError(f"observations.{name} is {quote(group[name])}; it must be a table")
-        one = pick(_Observation, group[name])
-        ignored += unread(group[name], field_names(_Observation), where=f"observations.{name}.")
+        one = from_table(_Observation, group[name])
+        ignored += unread_keys(group[name], field_names(_Observation), where=f"observations.{name}.")
         period = one.params.get("period")
         if not isinstance(period, int | float):
             period = None
@@ -130,15 +133,15 @@ def _terms(table: _Config) -> tuple[tuple[ObservationTerm, ...], bool, list[str]
         term = make_term(name, one.scale, one.clip, one.history_length, period=period)
         if group.get("scale_first"):
             term = replace(term, clip=None, clip_after=one.clip)
-        # The phase counts a control step before it is first observed.
+        # The phase advances by one control step before it is first observed.
         terms.append(replace(term, start=table.step_dt / period) if period else term)
     return tuple(terms), bool(group.get("use_gym_history")), ignored
 
 
 def _command_ranges(table: _Config) -> dict[str, Any]:
-    """Return the ranges of commands that the file states, by field of the specification."""
+    """Return the command ranges in the file, by field of the specification."""
     stated = table.commands.get("base_velocity")
     if not isinstance(stated, Mapping) or not isinstance(stated.get("ranges"), Mapping):
         return {}
-    ranges = pick(_Ranges, stated["ranges"])
+    ranges = from_table(_Ranges, stated["ranges"])
     return {"forward": ranges.lin_vel_x, "sideways": ranges.lin_vel_y, "yaw_rate": ranges.ang_vel_z}

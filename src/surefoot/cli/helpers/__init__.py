@@ -1,1 +1,1 @@
-"""What several commands share, and the parts of long ones."""
+"""Modules shared by several commands, and parts of long commands."""

@@ -1,9 +1,10 @@
-"""The page of `surefoot deploy --browser`: the robot's own state in a browser, and commands from there.
+"""Page of `surefoot deploy --browser`: shows the robot's state in a browser, and sends velocity commands.
 
-The page runs in a process of its own, so that it never makes the control loop wait. It receives the robot's state by
-the pipe of the live display and sends commands by the command channel (`deploy.command_sources`). So the robot stands
-when the page is closed or hangs. Its buttons are lines in the pipe of its standard output, which the loop reads in each
-control step without waiting. That pipe ends with the process: then the robot sits down, as when a terminal is closed.
+The page runs in a separate process, so that it never blocks the control loop. It receives the robot's state through
+the pipe of the live display, and sends commands through the command channel (`deploy.command_sources`), whose timeout
+sets the command to zero when the page is closed or hangs. Its buttons write lines to its standard output, a pipe that
+the loop reads in each control step without waiting. When the process ends, the pipe is closed and the robot sits down,
+as when a terminal is closed.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from surefoot.deploy.display import LiveDisplay, PlainLines, read_messages, run_
 from surefoot.deploy.loop import Snapshot
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.robot.commands import COMMANDS, STAND, CommandLimits
+from surefoot.robot.commands import COMMANDS, STAND_COMMAND, CommandLimits
 from surefoot.rotations import rpy_quat
 from surefoot.stop_signals import DAMP, SIT
 from surefoot.world.ground import FLAT
@@ -39,19 +40,19 @@ if TYPE_CHECKING:
     from surefoot.report.pages.view import RobotView
 
 _COMMAND_PERIOD, _REPORT_PERIOD = 0.05, 1 / 15
-"""Time between two commands on the channel, and between two reports to the browser [s]."""
-_SILENCE = 1.0
-"""Time after which a command that the browser does not repeat ends [s]."""
-_PATIENCE = 30.0
-"""Time that the page's process may take to start [s]."""
+"""Periods of commands on the channel, and of reports to the browser [s]."""
+_COMMAND_TIMEOUT = 1.0
+"""Time after which a command ends unless the browser repeats it [s]."""
+_START_TIMEOUT = 30.0
+"""Time within which the page's process must start [s]."""
 _MAX_BYTES = 4096
-"""Bytes of the page's process that are read at a time."""
+"""Maximum number of bytes that are read from the page's process at a time."""
 
 
 class DeployPage(PlainLines, LiveDisplay):
-    """Display that prints lines, starts the page's process, and sends it the robot's state.
+    """Display that prints lines, and sends the robot's state to the page's process, which it starts.
 
-    Without `limits` of commands the page has no controls. `port` is its TCP port, `channel` the UDP port of commands.
+    Without `limits` of commands the page has no controls. `port` is its TCP port, `channel` the UDP port for commands.
 
     Raises:
         SurefootError: the page can't be served.
@@ -76,15 +77,15 @@ class DeployPage(PlainLines, LiveDisplay):
         self.address = str(self._answer["address"])
 
     def _await_answer(self) -> None:
-        """Wait until the page's process says where the page is, or why there is none."""
-        end = time.monotonic() + _PATIENCE
+        """Wait until the page's process reports the page's address or an error."""
+        end = time.monotonic() + _START_TIMEOUT
         while not self._answer and not self._ended:
             if not select.select([self._output], [], [], max(end - time.monotonic(), 0.0))[0]:
-                self._answer = {"error": f"the page did not start within {_PATIENCE:g} s"}
+                self._answer = {"error": f"the page did not start within {_START_TIMEOUT:g} s"}
             self._receive()
 
     def _receive(self) -> None:
-        """Take what the page's process has written, at once."""
+        """Read the messages that the page's process has written, without waiting."""
         try:
             data = os.read(self._output, _MAX_BYTES)
         except BlockingIOError:
@@ -96,7 +97,7 @@ class DeployPage(PlainLines, LiveDisplay):
             self._answer |= message
 
     def stops(self) -> int:
-        """Return the request of the page's buttons, as `StopSignals.stops`: to sit, if its process has ended."""
+        """Return the stop request of the page's buttons, see `StopSignals.stops`; SIT if the process has ended."""
         if not self._ended:
             self._receive()
             if self._ended:
@@ -114,13 +115,13 @@ class DeployPage(PlainLines, LiveDisplay):
 
 
 class Page:
-    """The page in its process.
+    """The page in its own process.
 
     Args:
-        setup: the first message, with robot, policy, limits, and the channel's port.
-        server: serves the page.
-        view: draws the robot.
-        send: writes a message to the control loop's process.
+        setup: the first message from the control loop: robot, policy, limits, and the channel's port.
+        server: server of the page.
+        view: 3D view of the robot.
+        send: function that sends a message to the control loop's process.
     """
 
     def __init__(self, setup: dict[str, Any], server: PageServer, view: RobotView, send: Callable[..., None]) -> None:
@@ -128,7 +129,7 @@ class Page:
         robot = RobotDescription.load(setup["robot"])
         self._height = -float(robot.foot_positions(robot.resting_angles)[:, 2].min())
         self._start, self._reported, self._sent, self._received = time.monotonic(), 0.0, 0.0, -math.inf
-        self._command = list(STAND)
+        self._command = list(STAND_COMMAND)
         self._values: dict[str, Any] = {}
         view.show(FLAT, robot)
         self._place([0.0, 0.0, 0.0], robot.resting_angles)
@@ -141,13 +142,13 @@ class Page:
             robot=robot.name,
             legs=robot.leg_names,
             limits=setup["limits"],
-            knobs=[],
+            live_parameters=[],
             speeds=[1],
             node=f"/world/{robot.base}",
         )
 
     def update(self, message: dict[str, Any]) -> None:
-        """Take a message of the control loop's process."""
+        """Handle a message from the control loop's process."""
         if "warning" in message:
             self._server.send(error=str(message["warning"])[:300])
         self._values.update(message)
@@ -155,27 +156,27 @@ class Page:
             self._place(message["attitude"], message["angles"])
 
     def _place(self, attitude: Any, angles: Any) -> None:
-        # The robot's position is not measured: it is drawn in one place, at the height at which it stands.
+        # The robot's position is not measured, so it is drawn at a fixed position, at standing height.
         quat = np.array(rpy_quat(*map(float, attitude)))
         self._view.move(([0.0, 0.0, self._height], quat, angles))
 
     def step(self) -> None:
-        """Pass commands on, and report the robot's state to the browser."""
+        """Forward commands to the control loop, and report the robot's state to the browser."""
         now, channel = time.monotonic(), self._setup["channel"]
         with contextlib.suppress(queue.Empty):
             while True:
-                self._take(self._server.inbox.get_nowait(), now)
-        drives = self._server.tabs > 0 and now - self._received < _SILENCE
-        if drives and channel and now - self._sent >= _COMMAND_PERIOD:
+                self._handle(self._server.inbox.get_nowait(), now)
+        steers = self._server.tabs > 0 and now - self._received < _COMMAND_TIMEOUT
+        if steers and channel and now - self._sent >= _COMMAND_PERIOD:
             self._sent = now
             with contextlib.suppress(OSError):
                 send_command(channel, *self._command)
         if now - self._reported >= _REPORT_PERIOD:
             self._reported = now
-            self._server.send(report=self._report(drives))
+            self._server.send(report=self._report(steers))
 
-    def _take(self, message: DeployMessage | None, now: float) -> None:
-        """Do what a message of a tab asks for; None: the tab that drives was closed."""
+    def _handle(self, message: DeployMessage | None, now: float) -> None:
+        """Handle a message from a tab; None means that the controlling tab was closed."""
         if message is None:
             self._received = -math.inf
             return
@@ -184,7 +185,7 @@ class Page:
         if message.damp or message.stop:
             self._send(stop=DAMP if message.damp else SIT)
 
-    def _report(self, drives: bool) -> dict[str, Any]:
+    def _report(self, steers: bool) -> dict[str, Any]:
         values = self._values
         report = {"paused": False, "speed": 1, "text": values.get("phase", "")}
         if "angles" not in values:
@@ -194,7 +195,7 @@ class Page:
         return report | {
             "text": f"{values['phase']}{left}; battery {values['voltage']:.1f} V; {link}",
             "time": round(time.monotonic() - self._start, 3),
-            "command": self._command if drives else list(STAND),
+            "command": self._command if steers else list(STAND_COMMAND),
             "torque": values["torque"],
             "heat": values["temperature"],
             "attitude": values["attitude"][:2],
@@ -204,14 +205,14 @@ class Page:
 def main() -> None:
     """Run the page's process."""
     run_in_background()
-    # What libraries print must not be taken for a button.
+    # Output of libraries must not be mistaken for a button.
     output = os.fdopen(os.dup(sys.stdout.fileno()), "w")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     from surefoot.report.pages.messages import DeployMessage
     from surefoot.report.pages.server import robot_page
 
     def send(**message: Any) -> None:
-        with contextlib.suppress(OSError):  # that process has ended, so that the input of this one ends too
+        with contextlib.suppress(OSError):  # the control loop has ended, and then so does this process's input
             print(json.dumps(message), file=output, flush=True)
 
     messages, inbox = read_messages(sys.stdin), queue.Queue[dict[str, Any] | None]()

@@ -1,4 +1,4 @@
-"""`surefoot identify motor-figure`: a motor that follows a sine, or a recording, with both models of the motor."""
+"""`surefoot identify motor-figure`: compare two motor models that follow a sine or a recording."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from surefoot.robot import DEFAULT_ROBOT
 
 @dataclass(frozen=True)
 class MotorFigureCommand:
-    """Let one motor of the robot on its rack follow a sine with both models of the motor, and draw what it did.
+    """Let one motor of a robot on its rack follow a sine with both motor models, and plot the angles.
 
-    With --log the targets are the recording's, its measured angles are drawn, and errors are relative to them.
-    Without, errors are relative to the target: the lag of each model.
+    With --log the targets are taken from the recording, and errors are relative to its measured angles, which are also
+    plotted. Without it errors are relative to the target, and show the lag of each model.
     """
 
     log: Path | None = None
-    """Recording: a CSV file with the columns time [s], target [rad], angle [rad]."""
+    """Recording of a motor: a CSV file with the columns time [s], target [rad] and angle [rad]."""
     out: tuple[Path, ...] = (Path("motor_figure.png"),)
-    """Files to write: the figure (.png), and what the DC motor did as a log (.csv), for a model of it elsewhere."""
+    """Files to write: the figure (.png), and the simulated motion of the DC motor as a recording (.csv)."""
     motor: str | None = None
-    """Name of the motor; the robot's first one, if not given."""
+    """Name of the motor. Defaults to the robot's first motor."""
     amplitude: Annotated[float, Within(-10, 10)] = 0.3
-    """Amplitude of the sine [rad], if no log is given."""
-    frequency: Annotated[float, Within(0, 1000, above=True)] = 3.0
-    """Frequency of the sine [Hz], if no log is given."""
+    """Amplitude of the sine without --log [rad]."""
+    frequency: Annotated[float, Within(0, 1000, exclusive=True)] = 3.0
+    """Frequency of the sine without --log [Hz]."""
     duration: Duration = 1.0
-    """Length of the sine [s], if no log is given."""
+    """Duration of the sine without --log [s]."""
     settings: Settings = ()
-    """Physical parameters that differ from the robot's, such as resistance=0.2."""
+    """Physical parameters to change, such as resistance=0.2."""
     robot: str = DEFAULT_ROBOT
     """Name or folder of the robot."""
     world: World = "mujoco"
@@ -76,6 +76,6 @@ def main(argv: list[str]) -> int:
         print_json({**report, "files": command.out})
         return 0
     for name, error in errors.items():
-        print(f"{STYLES[name][1]}: {error:.4f} rad RMS from {against}")
+        print(f"{STYLES[name][1]}: {error:.4f} rad RMS relative to {against}")
     print(f"wrote {', '.join(map(str, command.out))}")
     return 0

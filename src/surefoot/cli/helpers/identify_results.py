@@ -19,7 +19,7 @@ from surefoot.api.extras import install_command
 from surefoot.cli.helpers.output import print_json
 from surefoot.errors import SurefootError, choices
 from surefoot.identify.result import Identification, ParameterEstimate
-from surefoot.identify.robot_params_file import overlay, write_overlay
+from surefoot.identify.robot_params_file import merge_estimates, write_robot_params
 from surefoot.progress import ProgressDisplay
 from surefoot.report.figures.identification import cells, full_name, prior_value
 from surefoot.report.pages.identification import write_report
@@ -27,26 +27,26 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamsFile
 
 if TYPE_CHECKING:
-    from surefoot.identify.motion.foresight import Foresight
+    from surefoot.identify.motion.expected_accuracy import ExpectedAccuracy
 
 _NEEDED = {"mujoco": "sim", "numba": "sim", "scipy": "sim", "matplotlib": "report"}
 
 
 def check_installed(otherwise: str = "") -> None:
-    """Refuse to begin without a library that the fit needs; name its extra, and a command that works without it."""
+    """Report a missing library of the fit before it starts, with its extra and a command that works without it."""
     for module, extra in _NEEDED.items():
         try:
             import_module(module)
         except ImportError:
             instead = f"; {otherwise} records without it" if otherwise else ""
             raise SurefootError(
-                f"the fit needs {module}, which is not installed: {install_command(extra)}{instead}"
+                f"the fit requires {module}, which is not installed: {install_command(extra)}{instead}"
             ) from None
 
 
 @contextlib.contextmanager
 def fit_progress(what: str) -> Iterator[Callable[[str, float], None]]:
-    """Yield a callback that shows the progress of a fit on standard error."""
+    """Context manager that yields a callback to show the progress of a fit on standard error."""
     line = f"fit of {what}"
     with ProgressDisplay(Console(stderr=True), lambda: Text(line), line_period=0.0, transient=True) as display:
 
@@ -68,12 +68,12 @@ def save_and_print(
     more: dict[str, Any],
     as_json: bool,
 ) -> None:
-    """Write `params` (robot.toml in the folder, if not given) and the report of data from `source`; print the result.
+    """Write the parameter file `params` (by default robot.toml in the folder) and the report, and print the result.
 
-    Printed are tables, or one JSON object with `more` entries.
+    The result is printed as tables, or as one JSON object with `more` entries. `source` describes the data.
     """
-    # First what took a robot and a fit; a figure can be drawn again.
-    files = [write_overlay(params or folder / "robot.toml", robot, overlay(prior, result, robot, source))]
+    # The parameter file is written first: it took an experiment and a fit, while a figure can be drawn again.
+    files = [write_robot_params(params or folder / "robot.toml", robot, merge_estimates(prior, result, robot, source))]
     files += write_report(result, robot, prior.params, folder, source)
     if as_json:
         print_json(_as_mapping(robot, prior.params, result) | more | {"files": files})
@@ -93,34 +93,34 @@ def save_and_print(
         console.print(line, markup=False, soft_wrap=True)
 
 
-def print_foresight(
-    robot: RobotDescription, foresight: Foresight, prior: PhysicalParams, source: str, as_json: bool
+def print_expected_accuracy(
+    robot: RobotDescription, foresight: ExpectedAccuracy, prior: PhysicalParams, source: str, as_json: bool
 ) -> None:
-    """Print what logs or a planned motion would tell, before anything is fitted."""
+    """Print the intervals that a fit to logs or to a planned motion would achieve, before anything is fitted."""
     result = Identification(source, robot.name, foresight.estimates, notes=foresight.sentences)
     if as_json:
         print_json(_as_mapping(robot, prior, result))
         return
     console = Console(highlight=False, emoji=False)
-    console.print(f"what {source} can tell of {robot.name}, if it is as before; intervals that a fit would leave:")
+    console.print(f"expected 95 % intervals of a fit of {robot.name} to {source}, if the prior parameters are right:")
     console.print(_estimates_table(robot, ParamsFile(prior, ()), result))
     for sentence in foresight.sentences:
         console.print(sentence, markup=False, soft_wrap=True)
 
 
 def print_failure(result: Identification, as_json: bool) -> None:
-    """Print why a fit does not explain its data, and what to try; nothing was written."""
+    """Print why a fit does not reproduce its data, and what to try; nothing was written."""
     if as_json:
         print_json({"experiment": result.experiment, "failure": list(result.failure), "files": []})
         return
     reason, *hints = result.failure
     print(f"surefoot: {reason}; nothing was written", file=sys.stderr)
-    for hint in hints or ["are units, signs and the order of joints right? See surefoot identify replay"]:
+    for hint in hints or ["check units, signs and the order of joints with surefoot identify replay"]:
         print(f"  {hint}", file=sys.stderr)
 
 
 def _estimates_table(robot: RobotDescription, prior: ParamsFile, result: Identification) -> Table:
-    before = "prior" if prior.names else "sheet"
+    before = "prior" if prior.names else "data sheet"
     table = _table(f"{result.experiment}: {robot.name}", "parameter", before, "estimate", "95 % interval", "unit")
     groups: dict[str, list[ParameterEstimate]] = {}
     for item in result.estimates:
@@ -128,7 +128,7 @@ def _estimates_table(robot: RobotDescription, prior: ParamsFile, result: Identif
     for name, items in groups.items():
         unit = items[0].unit if items[0].unit != "1" else ""
         if items[0].index is not None and not any(item.identifiable for item in items):
-            # One row says it for all motors.
+            # One row for all motors.
             table.add_row(Text(name), "", "not identifiable", "", unit, style="dim")
             continue
         if items[0].index is not None:
@@ -142,7 +142,7 @@ def _estimates_table(robot: RobotDescription, prior: ParamsFile, result: Identif
 
 
 def _table(title: str, first: str, *others: str) -> Table:
-    """Return a table that fits 80 columns: texts at both ends, numbers between."""
+    """Return a table for 80 columns, with text in the first and last columns and numbers between."""
     table = Table(title=title, title_justify="left", title_style="bold", box=SIMPLE_HEAD, pad_edge=False)
     table.add_column(first, overflow="fold")
     for name in others:
@@ -151,7 +151,7 @@ def _table(title: str, first: str, *others: str) -> Table:
 
 
 def _as_mapping(robot: RobotDescription, prior: PhysicalParams, result: Identification) -> dict[str, Any]:
-    """Return an identification for JSON."""
+    """Return an identification as a dict for JSON."""
     return {
         "experiment": result.experiment,
         "robot": result.robot,

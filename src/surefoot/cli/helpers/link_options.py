@@ -1,4 +1,4 @@
-"""Options of commands that use a link to a robot."""
+"""Options of commands that connect to a robot."""
 
 from __future__ import annotations
 
@@ -22,57 +22,58 @@ from surefoot.robot import RobotDescription
 
 @dataclass(frozen=True, kw_only=True)
 class SerialOptions:
-    """How a command opens its serial link to a robot."""
+    """Options of a serial link to a robot."""
 
     lockstep: bool = False
-    """The robot is an emulator that runs with --lockstep."""
+    """Set this if the robot is an emulator that runs with --lockstep."""
     baud: Annotated[int, Within(9600, 100_000_000)] = BAUD
-    """Bits a second of a serial port."""
+    """Bits per second of a serial port."""
 
     def open_port(self, port: str, motors: int) -> RobotLink:
-        """Open a link to a robot with so many motors."""
+        """Open the link to a robot with a given number of motors."""
         return open_link(port, motors, self.lockstep, self.baud)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkOptions(SerialOptions):
-    """How a command opens its link to a robot, of any kind."""
+    """Options of a link to a robot of any kind."""
 
     port: Port | None = None
+    """Serial port or pseudo-terminal of the robot, such as /dev/ttyUSB0; required with --link serial."""
     link: Literal["serial", "dds"] = "serial"
-    """What carries the messages: a serial port, or DDS to a Unitree Go2."""
+    """Transport of the messages: a serial port, or DDS to a Unitree Go2."""
     interface: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None
-    """Network interface that leads to the robot, such as eth0; of --link dds."""
+    """Network interface to the robot, such as eth0; required with --link dds."""
     domain: Annotated[int, Within(0, 230)] = 0
     """DDS domain of the robot; 0 on a Go2."""
     release: bool = False
-    """Let a Go2 lie down and release its own controller, without asking."""
+    """Let a Go2 lie down and release its own controller without asking for confirmation."""
     hand_back: bool = False
-    """Select a Go2's own controller at the end."""
+    """Activate a Go2's own controller again at the end."""
 
     @property
     def address(self) -> str:
-        """What leads to the robot, in words."""
+        """Description of the link for messages."""
         return f"port {self.port}" if self.link == "serial" else f"interface {self.interface}, domain {self.domain}"
 
     def check_link(self) -> None:
-        """Refuse options that do not go together."""
+        """Reject combinations of options that are not valid."""
         if self.link == "serial":
             if self.port is None:
-                raise SurefootError("--port is missing; of a robot over DDS, give --link dds --interface NAME")
+                raise SurefootError("--port is missing; for a robot over DDS, give --link dds --interface NAME")
             for name in ("interface", "release", "hand_back"):
                 if getattr(self, name):
-                    raise SurefootError(f"--{name.replace('_', '-')} is given; it goes with --link dds")
+                    raise SurefootError(f"--{name.replace('_', '-')} is given; it requires --link dds")
         elif self.interface is None:
             raise SurefootError("--interface is missing; it names the network interface to the robot, such as eth0")
         elif self.port is not None or self.lockstep:
             option = "--lockstep" if self.lockstep else "--port"
-            raise SurefootError(f"{option} and --link dds don't go together; --port is a serial one")
+            raise SurefootError(f"{option} and --link dds can't be combined; {option} is for a serial link")
 
     def open_link(self, robot: RobotDescription, contract: Contract, may_ask: bool = True) -> RobotLink:
-        """Open the link to a robot; one without a board of its own gets the gains and the watchdog of a policy.
+        """Open the link to a robot; over DDS the robot receives the policy's gains and a watchdog timeout.
 
-        `may_ask`: ask at a terminal whether a Go2's own controller is to be released.
+        `may_ask`: ask on a terminal whether a Go2's own controller shall be released.
         """
         gains, silence = (contract.servo_kp, contract.servo_kd), WATCHDOG_STEPS * contract.control_step
         return self.open_with_gains(robot, gains, silence, may_ask)
@@ -80,7 +81,7 @@ class LinkOptions(SerialOptions):
     def open_with_gains(
         self, robot: RobotDescription, gains: tuple[ArrayLike, ArrayLike], silence: float, may_ask: bool
     ) -> RobotLink:
-        """Open the link to a robot; one without a board of its own gets these gains and this watchdog.
+        """Open the link to a robot; over DDS the robot receives these gains and this watchdog timeout.
 
         For `gains` and `silence` see `open_dds_link`, for `may_ask` see `open_link`.
         """

@@ -1,4 +1,4 @@
-"""What commands print: results as JSON, tables of names, the command to run next."""
+"""Output of commands: results as JSON, tables of names, and suggestions for the next command."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from rich.console import Console
 from surefoot.errors import SurefootError, suggest
 
 Actions = Mapping[str, tuple[str, Callable[[list[str]], int] | str]]
-"""Actions of a command by name: a line of help, and a function that takes the other words and returns the exit code, or
+"""Subcommands by name: a line of help, and a function that takes the remaining arguments and returns the exit code, or
 the name of a module with such a function `main`, which is imported when it runs."""
 
 
 def plugin_paths() -> list[str]:
-    """Return the plug-ins that this command was given, as other commands take them from any folder."""
-    module = sys.modules.get("surefoot.task.plugins")  # where it is not imported, there is none
+    """Return the values of --plugin with which another command, in any folder, loads the plug-ins of this command."""
+    module = sys.modules.get("surefoot.task.plugins")  # not imported without plug-ins
     plugins = [] if module is None else module.registered_plugins()
     return [str(Path(plugin.path).absolute()) if plugin.source else plugin.name for plugin in plugins]
 
 
 def make_console(stderr: bool = False) -> Console:
-    """Return a console that prints texts as they are, on lines of any length."""
+    """Return a console that prints text unchanged, without wrapping lines."""
     return Console(stderr=stderr, highlight=False, soft_wrap=True, emoji=False, markup=False)
 
 
 def print_json(result: Mapping[str, object]) -> None:
-    """Print a result as one JSON object; numbers that are not finite are null."""
+    """Print a result as one JSON object; numbers that are not finite become null."""
     print(json.dumps(_plain(result)), flush=True)
 
 
@@ -49,10 +49,10 @@ def _plain(value: object) -> object:
 
 
 def next_command(purpose: str, *words: object) -> str:
-    """Return a line that names the command for a purpose, such as `to resume: surefoot train --resume RUN`.
+    """Return a line that suggests a command, such as `to resume: surefoot train --resume RUN`.
 
-    It works when it is pasted in another folder: of `words`, paths are written whole. A command that runs a policy or a
-    task names the plug-ins of this one too.
+    The command works in any folder, because paths among `words` are made absolute. If it runs a policy or a task, it
+    includes the plug-ins of this command.
     """
     texts = [str(word.absolute() if isinstance(word, Path) else word) for word in words]
     plugins = [] if words[0] == "show" else [word for path in plugin_paths() for word in ("--plugin", path)]
@@ -60,7 +60,7 @@ def next_command(purpose: str, *words: object) -> str:
 
 
 def _program() -> list[str]:
-    """Return the words that run this surefoot from any folder; its name alone, if the shell finds this one by it."""
+    """Return the words that run this installation of surefoot from any folder: `surefoot` if it is on the PATH."""
     script, on_path = Path(sys.executable).with_name("surefoot"), shutil.which("surefoot")
     if on_path is not None and script.exists() and Path(on_path).samefile(script):
         return ["surefoot"]
@@ -68,26 +68,26 @@ def _program() -> list[str]:
 
 
 def show_command(traces: Iterable[Path]) -> str:
-    """Return a line that names the command which shows traces in the browser, the first four of them."""
+    """Return a line that suggests the command to show traces (at most the first four) in the browser."""
     return next_command("look at", "show", *islice(traces, 4))
 
 
 def table_lines(rows: Mapping[str, str], width: int = 0) -> str:
-    """Return names, in a column of `width` characters or more, with their meanings."""
+    """Return lines with names, in a column of at least `width` characters, and their descriptions."""
     width = max(width, *map(len, rows))
     return "\n".join(f"  {name:<{width}}  {meaning}" for name, meaning in rows.items())
 
 
 def run_action(argv: list[str], command: str, actions: Actions) -> int:
-    """Run the action of a command that the first word names; print the actions if there is none.
+    """Run the subcommand that the first argument names; without arguments, print the list of subcommands.
 
     Args:
-        argv: words after the command.
-        command: its name.
-        actions: the actions.
+        argv: arguments after the command's name.
+        command: name of the command.
+        actions: its subcommands.
 
     Raises:
-        SurefootError: a word that is not an action.
+        SurefootError: the first argument is not a subcommand.
     """
     if not argv or argv[0] in ("-h", "--help"):
         lines = table_lines({name: line for name, (line, _) in actions.items()})

@@ -1,4 +1,4 @@
-"""Parsing of command lines into dataclasses, with errors of one line."""
+"""Parsing of command lines into dataclasses, with one-line errors."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ _OWN_OPTIONS = {
     "task.actuator": "actuator",
     "task.pushes.enabled": "pushes",
 }
-"""Keys of a task that options of other names set."""
+"""Keys of a task that are set by options of other names."""
 
 
 def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = None) -> T:
     """Parse the arguments of a command (`prog`) into a dataclass, as `tyro.cli` does.
 
-    Options that are not given have the values of `default`, or the dataclass's own.
+    Omitted options have the values of `default`, or the dataclass's defaults.
 
     Raises:
-        SurefootError: invalid words, or numbers out of their fields' bounds; in one line, where tyro would draw a box.
+        SurefootError: invalid arguments, or numbers out of bounds; the message has one line, unlike tyro's boxes.
     """
     _check_words(options(kind, default), words, prog)
     output = io.StringIO()
-    # A default may have flags that are on, and then each flag needs an option that turns it off.
+    # Flags may be on in `default`, and then each needs an option that turns it off.
     preset: dict[str, Any] = {"config": (tyro.conf.FlagCreatePairsOff,)} if default is None else {"default": default}
     try:
         with contextlib.redirect_stderr(output):
@@ -47,7 +47,7 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
         if stop.code in (0, None):
             raise
         text = " ".join(re.sub(r"[\u2500-\u257f]+|-{4,}", " ", output.getvalue()).split())
-        raise SurefootError(f"{_shorten(text, kind)}; for every option: {prog} --help") from None
+        raise SurefootError(f"{_shorten(text, kind)}; all options: {prog} --help") from None
     check_bounds(parsed)
     if plugins := getattr(parsed, "plugin", ()):
         from surefoot.task.plugins import load_plugins
@@ -57,7 +57,7 @@ def parse(kind: type[T], words: Sequence[str], prog: str, default: T | None = No
 
 
 def _shorten(text: str, kind: type) -> str:
-    """Return a message of tyro without headings, help of options and hints."""
+    """Return an error message of tyro without headings, help texts and hints."""
     headings = "Value error|Parsing error|Required options|Unrecognized options|Invalid choice|Missing argument"
     text = re.sub(rf"^({headings}) +|Error parsing ({kind.__name__}: )?", "", text)
     text = re.sub(r" *(For full helptext|Argument helptext:|Perhaps you meant|Arguments similar to).*", "", text)
@@ -65,15 +65,15 @@ def _shorten(text: str, kind: type) -> str:
     text = re.sub(r"^Missing value for argument '(\S+)'.*", r"\1 has no value", text)
     if surplus := re.match(r"Unrecognized options: ([^,]*)", text):
         is_run = (Path(surplus[1]) / "run.json").is_file()
-        several = "; a pattern that matches several runs needs the name of one of them" if is_run else ""
-        return f"{surplus[1]} is one word too many{several}"
+        several = "; the pattern matches several runs, give one of them" if is_run else ""
+        return f"unexpected argument {surplus[1]}{several}"
     if choice := re.match(r"invalid choice '(.*)' for argument '(\S+)'. Expected one of \((.*)\)", text):
         return f"{choice[2]} is '{choice[1]}'; {suggest(choice[1], re.findall(_QUOTED, choice[3]))}"
     return text
 
 
 def _check_words(types: Mapping[str, Any], words: Sequence[str], prog: str) -> None:
-    """Refuse an unknown option, and an option of several values that has none: tyro would read an empty list."""
+    """Reject unknown options, and list options without a value, which tyro would read as an empty list."""
     names = {name.removeprefix("--"): name for name in types}
     off = {f"--{head}{dot}no-{tail}" for head, dot, tail in (name.rpartition(".") for name in names)}
     names |= {key: f"--{name}" for key, name in _OWN_OPTIONS.items() if f"--{name}" in types}
@@ -82,7 +82,7 @@ def _check_words(types: Mapping[str, Any], words: Sequence[str], prog: str) -> N
         if name.startswith("--") and not (name in types or name in off or name in ("--", "--help")):
             near = nearest(name[2:], names)
             question = f"did you mean {names[near]}? " if near else ""
-            raise SurefootError(f"{name} is not an option; {question}for every option: {prog} --help")
+            raise SurefootError(f"{name} is not an option; {question}all options: {prog} --help")
         hint = types.get(word.replace("_", "-"))
         is_list = typing.get_origin(hint) is dict or typing.get_args(hint)[-1:] == (...,)
         if is_list and after.startswith("--"):
@@ -90,9 +90,9 @@ def _check_words(types: Mapping[str, Any], words: Sequence[str], prog: str) -> N
 
 
 def positional_words(words: Sequence[str], *kinds: type) -> list[str]:
-    """Return the words that are neither options of these dataclasses nor the value that follows an option.
+    """Return the words that are neither options of these dataclasses nor the value after an option.
 
-    Further values of an option that takes several count as positional: a command decides by the first word.
+    Further values of a list option count as positional, since callers use only the first word.
     """
     flags = {name for kind in kinds for name, hint in options(kind).items() if hint is bool} | {"-h", "--help"}
 
@@ -104,9 +104,9 @@ def positional_words(words: Sequence[str], *kinds: type) -> list[str]:
 
 
 def options(kind: type, default: Any = None, prefix: str = "--") -> dict[str, Any]:
-    """Return the types of a dataclass's options, positional ones too, by tyro's names.
+    """Return the types of a dataclass's options and positional arguments, by tyro's names.
 
-    A table that is not empty in the instance `default` has an option a key.
+    A dict that is not empty in the instance `default` has one option per key.
     """
     types: dict[str, Any] = {}
     hints, annotated = typing.get_type_hints(kind), typing.get_type_hints(kind, include_extras=True)
@@ -117,7 +117,7 @@ def options(kind: type, default: Any = None, prefix: str = "--") -> dict[str, An
         if tyro.conf.Fixed in marks:
             continue
         if dataclasses.is_dataclass(value) and not dataclasses.is_dataclass(hint):
-            hint = type(value)  # of several, the default's
+            hint = type(value)  # in a union, the type of the default
         if dataclasses.is_dataclass(hint):
             is_flat = tyro.conf.OmitArgPrefixes in marks
             types |= options(typing.cast("type", hint), value, prefix if is_flat else f"{prefix}{name}.")

@@ -19,20 +19,20 @@ from surefoot.robot.randomization import (
     range_names,
 )
 
-_RANGES_HELP = """--randomize TABLE           ranges that an episode draws its parameters from: {names}, or a YAML file
---randomize.NAME LOW HIGH   another range for one parameter; scale LOW HIGH: factors of its nominal value;
-                            add LOW HIGH: added to it; none: it is not drawn. Names and ranges of table1:"""
+_RANGES_HELP = """--randomize TABLE           ranges of the parameters that are randomized: {names}, or a YAML file
+--randomize.NAME LOW HIGH   range of one parameter; scale LOW HIGH: factors of its nominal value; add LOW HIGH:
+                            offsets from it; none: the parameter is not randomized. Names and ranges of table1:"""
 _WORDS = {"none": 1, "scale": 3, "add": 3}
-"""Number of words of a range, by its first word; 2 for all others."""
+"""Number of words of a range, by its first word; 2 for a range that starts with a number."""
 
 
 def ranges_help() -> str:
-    """Return the help of `--randomize`, with the ranges of the paper's table."""
+    """Return the help of `--randomize`, with the ranges of the paper's table I."""
     table, nominal = load_ranges("table1"), PhysicalParams.nominal(RobotDescription.load(DEFAULT_ROBOT))
     intervals = {name: mean_interval(interval, getattr(nominal, name)) for name, interval in table.items()}
     lines = _RANGES_HELP.format(names=choices(range_names())).splitlines()
     lines += [f"    {name:<20}{low:g} to {high:g}" for name, (low, high) in intervals.items()]
-    others = f"and, not in table1: {choices(name for name in PARAMETERS if name not in table)}"
+    others = f"other names: {choices(name for name in PARAMETERS if name not in table)}"
     lines += textwrap.wrap(others, 100, initial_indent="    ", subsequent_indent="    ")
     return textwrap.indent("\n".join(lines), "  ")
 
@@ -44,10 +44,10 @@ class RangeOptions:
     table: str | None
     """Name or path of a table of ranges."""
     ranges: dict[str, ParamRange | None]
-    """Ranges in place of the table's; None drops one."""
+    """Ranges of single parameters, which override the table; None removes one."""
 
     def apply(self, robot: str | Path, base: Ranges | None = None) -> Ranges:
-        """Return the ranges for a robot, by name or folder; parameters without options are as in `base`."""
+        """Return the ranges for a robot (name or folder); parameters without options keep their range in `base`."""
         below = (base or {}) if self.table is None else load_ranges(self.table, robot=robot)
         ranges = {name: interval for name, interval in {**below, **self.ranges}.items() if interval is not None}
         check_ranges(ranges, RobotDescription.load(robot))
@@ -55,7 +55,7 @@ class RangeOptions:
 
 
 def take_ranges(words: list[str]) -> tuple[list[str], RangeOptions]:
-    """Take the options `--randomize` out of a command's words; return the other words, and the options."""
+    """Extract the options `--randomize` from a command's arguments; return the other arguments, and the options."""
     rest: list[str] = []
     table: str | None = None
     ranges: dict[str, ParamRange | None] = {}

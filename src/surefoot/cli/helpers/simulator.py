@@ -1,4 +1,4 @@
-"""Options of commands that simulate: another simulator, robot, parameters, pushes and commands than the task's."""
+"""Options of commands that simulate: changes of a task's simulator, robot, parameters, pushes and commands."""
 
 from __future__ import annotations
 
@@ -31,26 +31,32 @@ class Simulator:
     """Differences from the task's simulator."""
 
     actuator: Actuator | None = None
-    """dc: servo and DC motor; constraint: the position motor of physics engines. The task's, if not given."""
+    """Actuator model; dc: servo and DC motor; constraint: the engine's position motor. Defaults to the task's."""
     control_latency: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
-    """Age of what the policy sees [s]; the task's, if not given."""
+    """Age of the readings that the policy observes [s]. Defaults to the task's value."""
     servo_latency: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None
-    """Age of what the servos see [s]; the task's, if not given."""
-    params: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
-    """File of a robot's physical parameters (.toml), or the name of one that ships with it, in place of the task's.
-    What it does not name is as on the data sheet; the control step stays."""
+    """Age of the readings that the servos use [s]. Defaults to the task's value."""
+    params: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            metavar="FILE",
+            help="File of the robot's physical parameters (.toml), or the name of one released with the robot. Other "
+            "parameters are as in the data sheet; the control step stays the task's. Defaults to the task's "
+            "parameters.",
+        ),
+    ] = None
 
     @property
     def latencies(self) -> dict[str, float]:
-        """Latencies that are given [s], by name."""
+        """Latencies set by options [s], by name."""
         names = ("control_latency", "servo_latency")
         return {name: value for name in names if (value := getattr(self, name)) is not None}
 
     def condition(self, settings: Iterable[Iterable[str]] = (), **changes: Any) -> Condition:
-        """Return the condition of this simulator, of physical parameters as `--set` takes them, and of other changes.
+        """Return the condition of this simulator with physical parameters in the format of `--set`, and other changes.
 
         Raises:
-            SurefootError: no such parameter, or one that is given twice.
+            SurefootError: an unknown parameter, or one that is given twice.
         """
         params = parse_settings([word for group in settings for word in group])
         if twice := sorted(set(params) & set(self.latencies)):
@@ -69,11 +75,11 @@ class SimulationOptions:
     """Options of commands that simulate one policy in one world."""
 
     settings: Settings = ()
-    """Physical parameters that differ from the task's, such as motor_strength=0.8."""
+    """Physical parameters to change, such as motor_strength=0.8."""
     plugin: PluginNames = ()
     world: World = "mujoco"
     simulator: SimulatorOptions = Simulator()
-    """Another simulator than the policy's own."""
+    """Differences from the policy's own simulator."""
     robot: RobotName = None
     terrain: Terrain = "flat"
 
@@ -81,7 +87,7 @@ class SimulationOptions:
         """Return a policy's task in this simulator.
 
         Raises:
-            SurefootError: no such parameter, a value that the robot does not allow, or what does not go together.
+            SurefootError: an unknown parameter, a value out of the robot's bounds, or incompatible options.
         """
         return self.simulator.condition(self.settings).simulate(task)
 
@@ -92,23 +98,27 @@ class RunOptions(SimulationOptions):
 
     pushes: Pushes = False
     push_force: PushForce = None
-    """Push the robot with forces from LOW to HIGH [N] in horizontal directions, as often as its task says."""
+    """Push the robot in random horizontal directions with forces from LOW to HIGH [N], as often as its task does."""
     seed: Seed = 1
-    commands: Path | None = None
-    """What steers a policy with commands: a file (CSV: time, forward, sideways, yaw_rate [s, m/s, rad/s]); commands are
-    drawn as in its training, if not given. The run lasts until two seconds after its last row, or longer."""
+    commands: Annotated[
+        Path | None,
+        tyro.conf.arg(
+            help="File of velocity commands (CSV: time, forward, sideways, yaw_rate [s, m/s, m/s, rad/s]); the run "
+            "lasts at least until two seconds after its last row. By default commands are random, as in the training.",
+        ),
+    ] = None
 
     def condition(self, ranges: Ranges | None = None, **changes: Any) -> Condition:
-        """Return what the options change; parameters are drawn from `ranges`."""
+        """Return the condition given by the options, with parameters randomized within `ranges`."""
         names = ("world", "pushes", "push_force", "commands", "terrain")
-        given = {name: getattr(self, name) for name in names} | {"randomize": ranges or {}}
-        return self.simulator.condition(self.settings, **given, **changes)
+        changes |= {name: getattr(self, name) for name in names} | {"randomize": ranges or {}}
+        return self.simulator.condition(self.settings, **changes)
 
     def apply(self, task: TaskConfig, robot: RobotDescription, ranges: Ranges | None = None) -> TaskConfig:
-        """Return a policy's task on its robot for this simulator, see `Condition.apply`."""
+        """Return a policy's task on its robot under this condition, see `Condition.apply`."""
         return self.condition(ranges).apply(task, robot)
 
 
 def describe_simulator(task: TaskConfig) -> dict[str, Any]:
-    """Return actuator and physical parameters of a task, as JSON holds them."""
+    """Return the actuator and the physical parameters of a task for JSON."""
     return {"actuator": task.actuator, "params": task.params, "params_source": task.params_source}

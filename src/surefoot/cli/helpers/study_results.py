@@ -1,4 +1,4 @@
-"""Evaluation and report of a study's finished runs."""
+"""Evaluation and report of the finished runs of a study."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 
 def check_evaluations(study: StudyConfig, worlds: bool) -> None:
-    """Refuse evaluations that do not exist or lack a `worlds`, before anything is trained.
+    """Check, before any training, that a study's evaluations exist and, if `worlds`, that their worlds do.
 
     Raises:
-        SurefootError: an unknown evaluation, figure or world, or bars without a gap.
+        SurefootError: an unknown evaluation, metric or world, or bars without a reality gap.
     """
     from surefoot.studies.evaluations import EVALUATIONS, evaluation_names, find_gap
 
@@ -33,19 +33,19 @@ def check_evaluations(study: StudyConfig, worlds: bool) -> None:
             check_takes_params(world)
         return
     kinds = evaluation_names(study.evaluate)
-    figures = [figure.name for kind in kinds for figure in EVALUATIONS[kind].figures]
-    if study.primary not in figures:
+    metrics = [figure.name for kind in kinds for figure in EVALUATIONS[kind].metrics]
+    if study.primary not in metrics:
         raise SurefootError(
-            f"primary: '{study.primary}' is no figure of its evaluations; {suggest(study.primary, figures)}"
+            f"primary: '{study.primary}' is not a metric of its evaluations; {suggest(study.primary, metrics)}"
         )
     if not find_gap(kinds) and study.bars:
-        raise SurefootError("bars: they show the reality gap; evaluate must name 'gap' or 'gap_test' for them")
+        raise SurefootError("bars: they show the reality gap, so evaluate must contain 'gap' or 'gap_test'")
     for world in [name for kind in kinds for name in EVALUATIONS[kind].world_names] if worlds else ():
         find_world(world)
 
 
 def evaluation_kinds(study: StudyConfig, run: Training, root: Path) -> dict[str, EvaluationKind]:
-    """Return the evaluations of a run's policy by name."""
+    """Return the evaluations of a run's policy, by name."""
     from surefoot.studies.evaluations import EVALUATIONS, evaluation_names
     from surefoot.studies.robot_runs import NAME, robot_kind
 
@@ -56,7 +56,7 @@ def evaluation_kinds(study: StudyConfig, run: Training, root: Path) -> dict[str,
 
 
 def evaluate_runs(study: StudyConfig, runs: list[Training], root: Path, threads: int, console: Console) -> None:
-    """Run every evaluation of every finished run that is not cached."""
+    """Run all evaluations of all finished runs whose results are not cached."""
     from surefoot.evaluation.statistics import decimal
     from surefoot.studies.evaluations import evaluate, stored_result
     from surefoot.world.process_world import worker_pool
@@ -72,23 +72,23 @@ def evaluate_runs(study: StudyConfig, runs: list[Training], root: Path, threads:
         for number, (run, name, kind) in enumerate(todo, start=1):
             start = time.perf_counter()
             with console.status(f"evaluating {run.name}: {name} ({number} of {len(todo)})"):
-                values = kind.read_figures(evaluate(run.policy, name, threads, kind))
-            figures = ", ".join(
-                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in kind.figures
+                values = kind.read_metrics(evaluate(run.policy, name, threads, kind))
+            metrics = ", ".join(
+                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in kind.metrics
             )
             seconds = time.perf_counter() - start
             console.print(
-                f"{number:>3} of {len(todo)}  {run.title:<20} seed {run.config.seed:<3} {figures}  ({seconds:.0f} s)"
+                f"{number:>3} of {len(todo)}  {run.title:<20} seed {run.config.seed:<3} {metrics}  ({seconds:.0f} s)"
             )
 
 
 def robots_folder(out: Path) -> Path:
-    """Return the folder with files of identified robots in the folder of a study's report."""
+    """Return the folder of parameter files of identified robots, in the folder of a study's report."""
     return out / "robots"
 
 
 def report_robots(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
-    """Write tables, figures and README of a study on hidden robots: of all runs that are finished and evaluated."""
+    """Write tables, figures and README of a study on hidden robots, from all runs that are finished and evaluated."""
     import pandas as pd
 
     from surefoot.studies.evaluations import stored_result
@@ -97,7 +97,7 @@ def report_robots(study: StudyConfig, root: Path, out: Path, command: str, conso
 
     robots, rows = study.hidden, dict[str, pd.DataFrame]()
     for run in study_runs(study, root, robots=robots_folder(out)):
-        if _is_studys(run):
+        if _is_finished(run):
             result = stored_result(run.policy, NAME, evaluation_kinds(study, run, root)[NAME])
             rows |= {} if result is None else {run.name: episode_rows(run, result)}
     if not rows:
@@ -107,9 +107,9 @@ def report_robots(study: StudyConfig, root: Path, out: Path, command: str, conso
     from surefoot.studies.robot_report import write_robot_report
 
     files = {seed: read_identified(robots_folder(out), seed, robots.robot) for seed in robots.seeds}
-    found = {seed: file for seed, file in files.items() if file is not None}
+    identified = {seed: file for seed, file in files.items() if file is not None}
     comparison = RobotComparison(study, pd.concat(rows.values(), ignore_index=True), missing)
-    parameters = parameter_rows(study, found, other_motors_folder(root / "robots"))
+    parameters = parameter_rows(study, identified, other_motors_folder(root / "robots"))
     readme = write_robot_report(comparison, parameters, out, command)
     if missing:
         console.print(f"Not in the report: {', '.join(missing)}")
@@ -117,7 +117,7 @@ def report_robots(study: StudyConfig, root: Path, out: Path, command: str, conso
 
 
 def report(study: StudyConfig, root: Path, out: Path, command: str, console: Console) -> None:
-    """Write tables, figures and README of all runs that are finished and evaluated, of whichever group."""
+    """Write tables, figures and README of a study, from all runs (of any group) that are finished and evaluated."""
     comparison = _collect(study, root)
     make_figures_folder(out)
     from surefoot.studies.study_report import write_report
@@ -129,7 +129,7 @@ def report(study: StudyConfig, root: Path, out: Path, command: str, console: Con
 
 
 def _collect(study: StudyConfig, root: Path) -> Comparison:
-    """Return all runs of a study that are finished and have every evaluation; one or more."""
+    """Return the results of all runs of a study (at least one) that are finished and have all evaluations."""
     import pandas as pd
 
     from surefoot.studies.comparison import Comparison
@@ -144,12 +144,12 @@ def _collect(study: StudyConfig, root: Path) -> Comparison:
 
 
 def _policy_row(run: Training, study: StudyConfig) -> dict[str, Any] | None:
-    """Return the row of a run; None if it is not finished, not evaluated, or not the one of the study."""
+    """Return the row of a run; None if it is not finished, not evaluated, or differs from the study's configuration."""
     from surefoot.policy.runtime import PolicyRuntime
     from surefoot.studies.comparison import policy_row
     from surefoot.studies.evaluations import evaluation_names, stored_result
 
-    if not _is_studys(run):
+    if not _is_finished(run):
         return None
     results = {kind: stored_result(run.policy, kind) for kind in evaluation_names(study.evaluate)}
     stored = {kind: result for kind, result in results.items() if result is not None}
@@ -160,8 +160,8 @@ def _policy_row(run: Training, study: StudyConfig) -> dict[str, Any] | None:
     return row | {"best_steps": best, "policy": run.policy}
 
 
-def _is_studys(run: Training) -> bool:
-    """Return whether a run is finished, and the one that the study asks for."""
+def _is_finished(run: Training) -> bool:
+    """Return whether a run is finished, with the configuration of the study."""
     if run.state != "finished":
         return False
     try:

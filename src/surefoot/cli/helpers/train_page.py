@@ -1,7 +1,7 @@
-"""The page of `surefoot train --browser`: the newest policy runs on the drive page while it learns.
+"""Page of `surefoot train --browser`: the drive page runs the newest policy during a training.
 
-The page runs in a process of its own, with low priority, and watches a policy file that the training writes now and
-then. So it can't change the training.
+The page runs in a separate process with low priority, and reloads a policy file that the training writes periodically.
+It can't affect the training.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ if TYPE_CHECKING:
     from surefoot.learn.training_loop import TrainingLoop
 
 _WRITE_PERIOD = 5.0
-"""Time between two policy files [s]."""
+"""Minimum time between two updates of the policy file [s]."""
 _READ_PERIOD = 1.0
-"""Time between two looks for a new file [s]."""
+"""Time between two checks for a new policy file [s]."""
 _NICENESS = 5
-"""Niceness of the page's process: a third of the processor's time that the training gets, where there is too little."""
-_CRUISE_SHARE = 0.5
-"""Share of the greatest speed forward at which a policy with commands runs until the page steers it."""
+"""Niceness of the page's process: it gets a third as much processor time as the training when time is scarce."""
+_INITIAL_SPEED = 0.5
+"""Initial forward command of a policy with commands, as a fraction of its upper limit."""
 
 
 class TrainingPage:
-    """Writes the newest policy into the run's folder during a training, and starts the process that shows it.
+    """Writer of the newest policy to the run folder during a training; it starts the page's process.
 
     Args:
         loop: the training.
@@ -49,13 +49,13 @@ class TrainingPage:
         self._write()
         command = [sys.executable, "-m", __name__, str(self._file), loop.config.world, str(port)]
         command += [plugin.path for plugin in registered_plugins()]
-        # A session of its own: Ctrl-C is for the training. Its input ends with this process, however that ends.
+        # A new session, so that Ctrl-C reaches only the training. Its input ends with this process, however that ends.
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, start_new_session=True)
 
     def update(self) -> None:
-        """Write the policy if the file is old."""
+        """Write the policy file if an update is due."""
         if time.monotonic() - self._written > _WRITE_PERIOD:
-            with contextlib.suppress(OSError):  # a full disk ends the training where it must write
+            with contextlib.suppress(OSError):  # on a full disk the training itself reports the error
                 self._write()
 
     def _write(self) -> None:
@@ -63,14 +63,14 @@ class TrainingPage:
         self._written = time.monotonic()
 
     def close(self) -> None:
-        """End the page and remove the file."""
+        """End the page's process and remove the policy file."""
         self._process.terminate()
         self._process.communicate()
         self._file.unlink(missing_ok=True)
 
 
 class NewestPolicy(DrivePage):
-    """Page of a simulated robot that runs the training's newest policy, and reloads it whenever its file changes.
+    """Drive page that runs the newest policy of a training, and reloads it whenever its file changes.
 
     Args:
         file: file of the newest policy.
@@ -81,7 +81,7 @@ class NewestPolicy(DrivePage):
         super().__init__(str(file), world, recordings=file.parent / "recordings")
         self._file, self._modified, self._checked = file, file.stat().st_mtime_ns, time.monotonic()
         if self.robot.limits is not None:
-            self.robot.command(np.array([_CRUISE_SHARE * self.robot.limits.high[0], 0.0, 0.0]))
+            self.robot.command(np.array([_INITIAL_SPEED * self.robot.limits.high[0], 0.0, 0.0]))
 
     def _handle_messages(self) -> None:
         super()._handle_messages()
@@ -94,7 +94,7 @@ class NewestPolicy(DrivePage):
 
 
 def main(argv: list[str]) -> int:
-    """Run the page's process, with the arguments FILE WORLD PORT [PLUGIN ...], until it is ended or its input ends."""
+    """Run the page's process with the arguments FILE WORLD PORT [PLUGIN ...], until it is ended or its input ends."""
 
     def end_with_input() -> None:
         sys.stdin.read()
@@ -108,7 +108,7 @@ def main(argv: list[str]) -> int:
         load_plugins(plugins)
         serve(NewestPolicy(Path(file), world), None, int(port))
     except SurefootError as error:
-        print(f"surefoot: the page can't be shown: {error}", file=sys.stderr)
+        print(f"surefoot: the page can't be served: {error}", file=sys.stderr)
         return 2
     return 0
 

@@ -1,4 +1,4 @@
-"""Many trainings on Ray, with a display: a line for each that begins or ends, a table of those under way."""
+"""Queue of trainings on Ray, with a display: one line per start and end, and a table of running trainings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from surefoot.studies.training import Training
 from surefoot.studies.workers import ProgressReport, TrainingsOutcome, ray_cluster, run_trainings
 
 _LINE_PERIOD = 60.0
-"""Least time between two lines on one training, where there is no terminal [s]."""
+"""Minimum time between two lines on one training without a terminal [s]."""
 
 
 def train_many(
@@ -29,24 +29,24 @@ def train_many(
     on_report: Callable[[Training, ProgressReport], bool] = lambda *_: False,
     on_change: Callable[[Training, str, str], None] = lambda *_: None,
 ) -> TrainingsOutcome:
-    """Train on this machine or on the Ray cluster at an address, show the progress, and stop by Ctrl-C.
+    """Run trainings on this machine or on a Ray cluster, show their progress, and stop on Ctrl-C.
 
     Args:
-        title: what is trained.
+        title: title of the display.
         trainings: as for `run_trainings`.
-        workers: how many run at a time.
-        address: HOST:PORT of a cluster; this machine, if None.
+        workers: number of trainings in parallel.
+        address: HOST:PORT of a Ray cluster; defaults to this machine.
         console: where to show it.
-        on_report: called with the progress of a training; true prunes it.
+        on_report: called with the progress of a training; returning true prunes it.
         on_change: called when a training starts or ends.
 
     Raises:
-        SurefootError: no cluster at the address.
+        SurefootError: there is no cluster at the address.
     """
 
-    def say(count: int) -> None:
+    def announce(count: int) -> None:
         if count == 1:
-            console.print("Stopping after the updates under way; once more stops at once.")
+            console.print("Stopping after the present updates; press Ctrl-C again to stop immediately.")
 
     display = QueueDisplay(title, console)
 
@@ -54,18 +54,18 @@ def train_many(
         display.report_progress(training, progress)
         return on_report(training, progress)
 
-    def changed(training: Training, what: str, why: str) -> None:
-        on_change(training, what, why)
-        display.report_change(training, what)
+    def report_change(training: Training, event: str, reason: str) -> None:
+        on_change(training, event, reason)
+        display.report_change(training, event)
 
-    # Ray listens to signals as well, and only the last one who began to listen hears them.
-    with ray_cluster(address, workers), StopSignals(on_signal=say, respect_nohup=True) as stops, display:
-        return run_trainings(trainings, workers, report, changed, lambda: stops.count)
+    # Ray installs signal handlers as well, and only the last handlers are called.
+    with ray_cluster(address, workers), StopSignals(on_signal=announce, respect_nohup=True) as stops, display:
+        return run_trainings(trainings, workers, report, report_change, lambda: stops.count)
 
 
 @dataclass
 class _Row:
-    """State of one training, as the display shows it."""
+    """State of one training in the display."""
 
     training: Training
     state: str = ""
@@ -81,27 +81,27 @@ class _Row:
         config = self.training.config
         total = config.updates * config.samples_per_update
         speed = "-" if self.speed is None else f"{self.speed:.2f} m/s"
-        gained = falls = "-"
+        returned = falls = "-"
         if self.evaluation is not None:
-            rmse = self.evaluation.get("rmse")  # whose task has commands, and a return that is no distance
-            gained = f"{self.evaluation['return_mean']:.2f}" + ("" if rmse else " m")
+            rmse = self.evaluation.get("rmse")  # only of a task with commands, whose return is not a distance
+            returned = f"{self.evaluation['return_mean']:.2f}" + ("" if rmse else " m")
             speed = f"error {error_text(rmse)}" if rmse else speed
             falls = f"{self.evaluation['falls']} of {config.evaluation_episodes}"
             if config.task.pushes.enabled:
                 falls += f", pushed {self.evaluation['pushed_falls']}"
         left = f"{(total - self.steps) / self.rate / 60:.0f} min left" if self.rate else ""
         steps = f"{self.steps:,} of {total:,}"
-        return self.training.title, str(config.seed), self.state, steps, speed, gained, falls, left
+        return self.training.title, str(config.seed), self.state, steps, speed, returned, falls, left
 
     def line(self) -> str:
         """Return the training's line for a log."""
-        group, seed, state, steps, speed, gained, falls, left = self.cells()
-        line = f"{group:<20} seed {seed:<3} {state:<9} {steps} steps  {speed}  return {gained}  falls {falls}  {left}"
+        group, seed, state, steps, speed, returned, falls, left = self.cells()
+        line = f"{group:<20} seed {seed:<3} {state:<9} {steps} steps  {speed}  return {returned}  falls {falls}  {left}"
         return line.rstrip()
 
 
 class QueueDisplay(ProgressDisplay):
-    """Table of the trainings under way, and a line for each that starts or ends.
+    """Table of running trainings, and one line for each start and end.
 
     Args:
         title: title of the table.
@@ -109,7 +109,7 @@ class QueueDisplay(ProgressDisplay):
     """
 
     def __init__(self, title: str, console: Console) -> None:
-        # The display draws its table at once.
+        # These must exist before the display draws its table for the first time.
         self._title = title
         self._rows: dict[str, _Row] = {}
         super().__init__(console, self._table, _LINE_PERIOD)

@@ -1,4 +1,4 @@
-"""Recorded runs and emulated robots in MuJoCo's viewer, where every link is a mocap body."""
+"""Recorded runs and emulated robots in MuJoCo's viewer, in which every link is a mocap body."""
 
 from __future__ import annotations
 
@@ -28,37 +28,38 @@ from surefoot.world.terrain import make_terrain
 if TYPE_CHECKING:
     from surefoot.emulator.plant import Plant
 
-_LEAST_AREA = 1e-9
-"""Area [m2] of a mesh below which it is not shown: MuJoCo refuses meshes without any, or of fewer than 4 points."""
+_MIN_AREA = 1e-9
+"""Minimum area of a mesh that is shown [m²]: MuJoCo rejects meshes without area, or with fewer than 4 points."""
 _PERIOD = 33_000
-"""Time between two poses of an emulated robot [us]."""
+"""Time between two poses of an emulated robot [µs]."""
 _BASE = 7
+"""Number of values of a base pose: position and quaternion."""
 
 
 def has_display() -> bool:
-    """Return whether a window can be opened here."""
+    """Return whether a window can be opened."""
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def build_stage(appearance: Appearance, ground: Ground = FLAT) -> mujoco.MjModel:
-    """Return a model with ground, light and a mocap body for every link that has parts."""
+    """Return a MuJoCo model with ground, light and a mocap body for every visible link."""
     spec = mujoco.MjSpec()
     spec.worldbody.add_light(pos=[0, 0, 4], dir=[0, 0, -1], type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL)
     visual: dict[str, Any] = {"contype": 0, "conaffinity": 0}
-    look = {"rgba": [0.8, 0.82, 0.84, 1], **visual}
+    ground_visual = {"rgba": [0.8, 0.82, 0.84, 1], **visual}
     if ground.is_flat:
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.5], **look)
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 0.5], **ground_visual)
     else:
         corners = ground_around(ground, np.zeros(2)).triangles().reshape(-1, 3)
         mesh = spec.add_mesh(name="ground", uservert=corners.ravel(), userface=np.arange(len(corners), dtype=np.int32))
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, **look)
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, **ground_visual)
     links = dict.fromkeys(part.link for part in appearance.parts)
     bodies = {name: spec.worldbody.add_body(name=name, mocap=True) for name in links}
     for number, (link, color, points, faces) in enumerate(link_meshes(appearance)):
         corners = points[faces]
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-        if len(points) < 4 or area < _LEAST_AREA:
+        if len(points) < 4 or area < _MIN_AREA:
             continue
         mesh = spec.add_mesh(name=f"mesh{number}", uservert=points.ravel(), userface=faces.ravel())
         mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL  # open surfaces have no volume
@@ -68,7 +69,7 @@ def build_stage(appearance: Appearance, ground: Ground = FLAT) -> mujoco.MjModel
 
 
 def set_stage(model: mujoco.MjModel, data: mujoco.MjData, poses: Mapping[str, Array], step: int) -> None:
-    """Move every body to its pose at one step of the poses (T, 4, 4) by body."""
+    """Move every body to its pose at one step; `poses` are transforms (T, 4, 4) by body."""
     for name, pose in poses.items():
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
         if body >= 0:
@@ -78,12 +79,12 @@ def set_stage(model: mujoco.MjModel, data: mujoco.MjData, poses: Mapping[str, Ar
 
 
 def replay(robot: RobotDescription, trace: EpisodeTrace, ground: Ground = FLAT) -> None:
-    """Show a recorded run on a ground in real time, repeatedly, until the window is closed."""
-    recorded, times, start = trace_poses(robot, trace), trace.time, time.perf_counter()
+    """Show a recorded run on a ground in real time, in a loop until the window is closed."""
+    recorded_poses, times, start = trace_poses(robot, trace), trace.time, time.perf_counter()
 
     def now() -> tuple[Mapping[str, Array], int]:
         played = (time.perf_counter() - start) % float(times[-1])
-        return recorded, min(int(np.searchsorted(times, played)), len(times) - 1)
+        return recorded_poses, min(int(np.searchsorted(times, played)), len(times) - 1)
 
     _show(robot, ground, now)
 
@@ -99,34 +100,34 @@ def _show(robot: RobotDescription, ground: Ground, now: Callable[[], tuple[Mappi
         viewer.cam.trackbodyid = model.body(robot.base).id
         viewer.cam.distance, viewer.cam.azimuth, viewer.cam.elevation = 1.4, 120, -15
         while viewer.is_running():
-            with contextlib.suppress(SurefootError):  # the last picture stays where a leg can't close its loop
+            with contextlib.suppress(SurefootError):  # keep the last pose if a leg can't close its loop
                 set_stage(model, data, *now())
             viewer.sync()
             time.sleep(1 / 60)
 
 
 class EmulateViewer:
-    """Window of an emulated robot, in a process of its own that can't delay it.
+    """Window that shows an emulated robot, in a separate process so that it can't delay the emulator.
 
     Args:
-        robot: name or folder.
-        plant: the robot's body.
-        terrain: what it stands on, as `make_terrain` takes it with a seed.
-        seed: see above.
+        robot: name or folder of the robot.
+        plant: simulated body of the robot.
+        terrain: terrain, see `make_terrain`.
+        seed: seed of the terrain.
     """
 
     def __init__(self, robot: str, plant: Plant, terrain: str = "flat", seed: int = 0) -> None:
         self._plant = plant
         context = multiprocessing.get_context("spawn")
-        # Without a lock: half a new pose is drawn at worst, for 1/60 s.
+        # Without a lock: at worst a half-written pose is drawn for 1/60 s.
         self._shared = context.RawArray("d", _BASE + plant.robot.num_motors)
         self._next = 0
         self._write()
         self._process = context.Process(target=_show_shared, args=(robot, self._shared, terrain, seed), daemon=True)
         self._process.start()
 
-    def see(self, now: int) -> None:
-        """Show the state at the end of a servo step [us], if a picture is due."""
+    def update(self, now: int) -> None:
+        """Show the state at the end of a servo step at time `now` [µs], if an update is due."""
         if now >= self._next:
             self._next = now + _PERIOD
             self._write()
@@ -142,12 +143,12 @@ class EmulateViewer:
 
 
 def pose_of(robot: RobotDescription, numbers: Any) -> dict[str, Array]:
-    """Return transforms (1, 4, 4) by link, from a row of base position, quaternion and motor angles."""
+    """Return transforms (1, 4, 4) by link, from a row with base position, quaternion and motor angles."""
     row = np.array(numbers)
     return poses(robot, row[:3], row[3:_BASE], row[_BASE:])
 
 
 def _show_shared(name: str, shared: Any, terrain: str, seed: int) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the emulator closes the window
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # on Ctrl-C the emulator closes the window
     robot = RobotDescription.load(name)
     _show(robot, make_terrain(terrain, seed), lambda: (pose_of(robot, shared), 0))

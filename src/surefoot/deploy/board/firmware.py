@@ -1,14 +1,14 @@
-"""The microcontroller's program, without its hardware: messages and time in, orders for the motors and messages out.
+"""Program of a robot's microcontroller, independent of the hardware: the reference for the firmware in C.
 
-It uses neither physics nor ports. Its caller passes what arrives to `receive`, calls `tick` once per servo step for the
-order to the motors, calls `report` when a state is due, and sends the packets of `take`. All times are whole
-microseconds on the robot's own clock.
+The program uses neither physics nor ports. Its caller passes received packets to `receive`, calls `tick` once per servo
+step to get the motor command, calls `report` when a state is due, and sends the packets returned by `take`. All times
+are whole microseconds on the robot's clock.
 
-    mode       motors                            left by
-    DISARMED   damped                            Arm
-    POSITION   servos follow position commands   Disarm, Bye, or anything that goes wrong: FAULT
-    PWM        duty as commanded                 the same
-    FAULT      damped, the reason is kept        Arm, after the link has been clean for long enough
+    mode       motors                            next mode
+    DISARMED   damped                            POSITION or PWM by Arm
+    POSITION   servos follow position commands   DISARMED by Disarm or Bye; FAULT by any fault
+    PWM        duty as commanded                 DISARMED by Disarm or Bye; FAULT by any fault
+    FAULT      damped, the reason is stored      POSITION or PWM by Arm, once the link has been clean for long enough
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ import numpy as np
 
 from surefoot.deploy import messages
 from surefoot.deploy.board.limits import Limits
-from surefoot.deploy.board.signals import Hazard, MotorOrder, Sensors, Vitals, microseconds
+from surefoot.deploy.board.signals import Hazard, MotorCommand, Sensors, Vitals, microseconds
 from surefoot.deploy.clock import ClockSync
 from surefoot.deploy.messages import Handshake, Hello, Message, Mode, Packet, Position, Pwm, Reason
 
 ARMED = (Mode.POSITION, Mode.PWM)
 
 
-class LinkWatch:
-    """Order, age and continuity of one operator's packets; a clean link is silent for `clean_gap` at most."""
+class LinkMonitor:
+    """Checks order, age and continuity of one operator's packets; a clean link has no gaps over `clean_gap`."""
 
     def __init__(self, clean_gap: int) -> None:
         self.clean_gap = clean_gap
         self.last_number = self.last_received = self.old_numbers = 0
-        """Highest number of a packet that was taken; when one was received; packets with old numbers, dropped."""
+        """Highest sequence number so far, time of the last packet, and number of packets dropped for old numbers."""
         self._clean_since: int | None = None
         self._sync = ClockSync(second=1_000_000)
 
     def restart(self) -> None:
-        """Begin another session: its numbers and its clock are new."""
+        """Start a new session, with new sequence numbers and a new clock."""
         self.last_number, self._clean_since = 0, None
-        self._sync.forget()
+        self._sync.reset()
 
     def is_next(self, number: int) -> bool:
-        """Return whether a packet's number is above all before; if so, it is the last one from now on."""
+        """Return whether a sequence number is higher than all before, and store it if so."""
         if number <= self.last_number:
             self.old_numbers += 1
             return False
@@ -56,40 +56,40 @@ class LinkWatch:
         return self._clean_since is None or now - self.last_received > self.clean_gap
 
     def receive(self, now: int) -> None:
-        """Note that an undamaged packet has arrived."""
+        """Register the arrival of an undamaged packet."""
         if self._is_silent(now):
             self._clean_since = now
         self.last_received = now
 
     def note_damage(self) -> None:
-        """Note a damaged packet: the link counts as clean again from the next undamaged one on, at the earliest."""
+        """Register a damaged packet: the link is clean again from the next undamaged packet on."""
         self._clean_since = None
 
     def clean_for(self, now: int) -> int:
-        """Return how long the link has been clean."""
+        """Return the time for which the link has been clean."""
         return 0 if self._clean_since is None or self._is_silent(now) else now - self._clean_since
 
     def age(self, now: int, sent: int) -> float:
-        """Return the age of a packet that was sent at `sent` on the operator's clock; see `ClockSync`."""
+        """Return the age of a packet sent at time `sent` on the operator's clock; see `ClockSync`."""
         self._sync.add(sent, now)
         return self._sync.age(sent, now)
 
 
 class Firmware:
-    """The microcontroller's program."""
+    """Program of a microcontroller; see the module."""
 
     def __init__(self, handshake: Handshake, limits: Limits) -> None:
         self.handshake, self.limits = handshake, limits
-        self.watch = LinkWatch(microseconds(limits.clean_gap))
+        self.link_monitor = LinkMonitor(microseconds(limits.clean_gap))
         self.mode, self.reason, self.owner = Mode.DISARMED, Reason.NONE, 0
         self.period = 0
         self.next_state = math.inf
-        """When the next state is due."""
+        """Time at which the next state is due."""
         self.stale = 0
-        """Commands dropped because they were too old."""
+        """Number of commands dropped because they were too old."""
         self._out: list[Packet] = []
         self._sent = 0
-        self._order = self._damped = MotorOrder(Mode.DISARMED, np.zeros(len(handshake.motor_names)))
+        self._motor_command = self._damped = MotorCommand(Mode.DISARMED, np.zeros(len(handshake.motor_names)))
         self._fresh = self._first = False
         self._state_period = microseconds(limits.state_period[1])
         self._report_after = self._command = self._command_time = 0
@@ -97,20 +97,20 @@ class Firmware:
         self._low_since = math.inf
         self._vitals: Vitals | None = None
         self._energy_start: float | None = None
-        self._refusals: dict[Reason, deque[int]] = {}
+        self._rejection_times: dict[Reason, deque[int]] = {}
 
     @property
     def armed(self) -> bool:
         """Whether motors follow commands."""
         return self.mode in ARMED
 
-    def is_taken(self, now: int) -> bool:
-        """Return whether the robot has an operator that may keep it."""
-        silent = now - self.watch.last_received > microseconds(self.limits.owner_timeout)
+    def has_operator(self, now: int) -> bool:
+        """Return whether an operator uses the robot, so that others are rejected."""
+        silent = now - self.link_monitor.last_received > microseconds(self.limits.owner_timeout)
         return bool(self.owner) and (self.armed or not silent)
 
     def take(self) -> list[Packet]:
-        """Return and forget the packets to send, oldest first."""
+        """Remove and return the packets to send, oldest first."""
         packets, self._out = self._out, []
         return packets
 
@@ -118,22 +118,22 @@ class Firmware:
         self._sent += 1
         self._out.append(Packet(message, self._sent, now / 1e6))
 
-    def refuse_foreign(self, now: int, text: str) -> None:
-        """Refuse a packet of another version or schema of the protocol."""
-        self.watch.note_damage()
-        self._refuse(now, 0, Reason.SCHEMA, text)
+    def reject_foreign(self, now: int, text: str) -> None:
+        """Reject a packet of another version or schema of the protocol."""
+        self.link_monitor.note_damage()
+        self._reject(now, 0, Reason.SCHEMA, text)
 
     def announce(self, now: int, hazard: Hazard) -> None:
-        """Tell the operator of something outside, also while the motors are not armed."""
-        self._refuse(now, self.owner, *hazard)
+        """Report an external hazard to the operator, even if the motors are not armed."""
+        self._reject(now, self.owner, *hazard)
 
     def receive(self, now: int, packet: Packet) -> None:
-        """Handle a packet of a host."""
+        """Process a packet from a host."""
         message = packet.message
         if isinstance(message, messages.Ping):
-            # A ping has no session and changes nothing: it is answered whatever its number.
+            # A ping has no session and changes nothing, so it is answered whatever its number.
             if self.owner:
-                self.watch.receive(now)
+                self.link_monitor.receive(now)
             self._send(now, messages.Pong(message.token))
             return
         session = getattr(message, "session", 0)
@@ -141,14 +141,14 @@ class Firmware:
             self._start_session(now, packet, message)
             return
         if not session or session != self.owner:
-            self._refuse(now, session, Reason.SESSION, f"session {session} is not known")
+            self._reject(now, session, Reason.SESSION, f"session {session} is unknown")
             return
-        age = self.watch.age(now, microseconds(packet.time))
-        if not self.watch.is_next(packet.sequence):
+        age = self.link_monitor.age(now, microseconds(packet.time))
+        if not self.link_monitor.is_next(packet.sequence):
             if isinstance(message, Position | Pwm):
-                self._drop(now, "commands came twice or out of order")
+                self._drop(now, "commands were repeated or out of order")
             return
-        self.watch.receive(now)
+        self.link_monitor.receive(now)
         if isinstance(message, Position | Pwm):
             self._take_command(now, packet.sequence, message, age)
         elif isinstance(message, Hello):
@@ -156,7 +156,7 @@ class Firmware:
         elif isinstance(message, messages.Arm):
             self._arm(now, message)
         elif isinstance(message, messages.Damp):
-            self._fail(now, Reason.HOST, "the operator asked for it")
+            self._fail(now, Reason.HOST, "the operator requested it")
         elif isinstance(message, messages.Disarm):
             if self.armed:
                 self._disarm(now)
@@ -165,15 +165,15 @@ class Firmware:
             self.owner, self.next_state = 0, math.inf
 
     def _start_session(self, now: int, packet: Packet, hello: Hello) -> None:
-        if self.is_taken(now):
-            self._refuse(now, hello.session, Reason.BUSY, "another operator has the robot")
+        if self.has_operator(now):
+            self._reject(now, hello.session, Reason.BUSY, "another operator uses the robot")
             return
         self._disarm(now)
         self.owner = hello.session
-        self.watch.restart()
-        self.watch.is_next(packet.sequence)
-        self.watch.receive(now)
-        self.watch.age(now, microseconds(packet.time))
+        self.link_monitor.restart()
+        self.link_monitor.is_next(packet.sequence)
+        self.link_monitor.receive(now)
+        self.link_monitor.age(now, microseconds(packet.time))
         self._command = self._command_time = self._dropped = 0
         self._energy_start = None
         self._answer_hello(now, hello)
@@ -188,15 +188,17 @@ class Firmware:
         shortest, longest = self.limits.command_period
         no_duty = arm.mode == Mode.PWM and not self.limits.duty
         if arm.mode not in ARMED or no_duty or (self.armed and arm.mode != self.mode):
-            self._refuse(now, self.owner, Reason.MODE, f"mode {arm.mode} can't be armed while {self.mode.name}")
+            self._reject(now, self.owner, Reason.MODE, f"mode {arm.mode} can't be armed while {self.mode.name}")
         elif not (shortest <= arm.command_period <= longest and arm.report_after <= arm.command_period):
             text = f"command period is {arm.command_period:.3f} s; it must be {shortest:g} to {longest:g}"
-            self._refuse(now, self.owner, Reason.COMMAND, text)
-        elif not self.armed and self.reason and self.watch.clean_for(now) < microseconds(self.limits.rearm_after):
+            self._reject(now, self.owner, Reason.COMMAND, text)
+        elif (
+            not self.armed and self.reason and self.link_monitor.clean_for(now) < microseconds(self.limits.rearm_after)
+        ):
             text = f"the link must be clean for {self.limits.rearm_after:g} s ({self.reason.name.lower()})"
-            self._refuse(now, self.owner, Reason.NOT_CLEAN, text)
+            self._reject(now, self.owner, Reason.NOT_CLEAN, text)
         elif (hazard := self._hazard(now)) is not None:
-            self._refuse(now, self.owner, *hazard)
+            self._reject(now, self.owner, *hazard)
         else:
             self.period = microseconds(arm.command_period)
             self._report_after = microseconds(arm.report_after)
@@ -216,7 +218,7 @@ class Firmware:
         if self.mode != mode:
             self._dropped += 1
             if self.mode != Mode.FAULT:  # every state of a faulted robot has the reason
-                self._refuse(now, self.owner, Reason.MODE, f"a command came while {self.mode.name}")
+                self._reject(now, self.owner, Reason.MODE, f"a command arrived while {self.mode.name}")
             return
         if age > self.limits.stale_after * self.period:
             self.stale += 1
@@ -225,17 +227,17 @@ class Firmware:
         bad = np.flatnonzero(~((values >= low) & (values <= high)))
         if bad.size:
             self._dropped += 1
-            self._fail(now, Reason.COMMAND, f"{handshake.motor_names[bad[0]]} was sent to {values[bad[0]]:.3f}")
+            self._fail(now, Reason.COMMAND, f"{handshake.motor_names[bad[0]]} was commanded to {values[bad[0]]:.3f}")
             return
         if self._first and mode == Mode.POSITION and self._vitals is not None:
             torque = handshake.servo_kp * np.abs(values - self._vitals.motor_angle)
-            if not (greatest := float(torque.max())) <= self.limits.first_torque:
-                text = f"the first command would give {greatest:.1f} N m at once; at most {self.limits.first_torque:g}"
+            if not (maximum := float(torque.max())) <= self.limits.first_torque:
+                text = f"the first command would give {maximum:.1f} N m at once; at most {self.limits.first_torque:g}"
                 self._fail(now, Reason.COMMAND, text)
                 return
         self._first = False
         self._command, self._command_time, self._dropped_in_a_row, self._fresh = number, now, 0, False
-        self._order = MotorOrder(self.mode, values)
+        self._motor_command = MotorCommand(self.mode, values)
         self.next_state = now + self._report_after
 
     def _drop(self, now: int, text: str) -> None:
@@ -244,10 +246,10 @@ class Firmware:
         if self.armed and self._dropped_in_a_row >= self.limits.stale_drops:
             self._fail(now, Reason.STALE, text)
 
-    def tick(self, now: int, vitals: Vitals) -> MotorOrder:
-        """Return the order to the motors in the servo step that begins."""
+    def tick(self, now: int, vitals: Vitals) -> MotorCommand:
+        """Return the motor command for the servo step that begins."""
         self._vitals = vitals
-        # A voltage that is no number is low.
+        # NaN counts as low voltage.
         self._low_since = math.inf if vitals.voltage >= self.limits.voltage else min(self._low_since, now)
         if self.armed:
             if now - self._command_time >= microseconds(self.limits.command_timeout):
@@ -260,15 +262,15 @@ class Firmware:
         if not self.armed:
             return self._damped
         if self._fresh:
-            # Nothing was commanded yet: servos hold the present angles, motors get no duty.
+            # Before the first command, servos hold the present angles, and motors get zero duty.
             self._fresh = False
             angle = np.array(vitals.motor_angle, float)
             held = angle if self.mode == Mode.POSITION else np.zeros_like(angle)
-            self._order = MotorOrder(self.mode, held)
-        return self._order
+            self._motor_command = MotorCommand(self.mode, held)
+        return self._motor_command
 
     def _hazard(self, now: int) -> Hazard | None:
-        """Return why motors must not move, by the sensors of the last servo step; None if they may."""
+        """Return why the motors must not move, from the sensors of the last servo step, or None."""
         vitals, limits = self._vitals, self.limits
         if vitals is None:
             return None
@@ -277,14 +279,17 @@ class Firmware:
         if not vitals.tilt <= limits.tilt:
             return Reason.TILT, f"tilt is {vitals.tilt:.2f} rad; the limit is {limits.tilt:g}"
         if now - self._low_since >= microseconds(limits.voltage_time):
-            return Reason.BATTERY, f"battery has {vitals.voltage:.2f} V; the limit is {limits.voltage:g}"
+            return Reason.BATTERY, f"battery voltage is {vitals.voltage:.2f} V; the limit is {limits.voltage:g}"
         if not vitals.temperature <= limits.temperature:
-            return Reason.TEMPERATURE, f"a motor has {vitals.temperature:.0f} degC; the limit is {limits.temperature:g}"
+            return (
+                Reason.TEMPERATURE,
+                f"a motor is at {vitals.temperature:.0f} degC; the limit is {limits.temperature:g}",
+            )
         return None
 
     def _fail(self, now: int, reason: Reason, text: str) -> None:
         if self.mode == Mode.FAULT:
-            return  # the first reason is kept
+            return  # keep the first reason
         self.mode, self.reason = Mode.FAULT, reason
         self._send_fault(now, self.owner, reason, text)
         if self.owner:
@@ -298,16 +303,16 @@ class Firmware:
     def _send_fault(self, now: int, session: int, reason: Reason, text: str) -> None:
         self._send(now, messages.Fault(session, int(reason), text))
 
-    def _refuse(self, now: int, session: int, reason: Reason, text: str) -> None:
+    def _reject(self, now: int, session: int, reason: Reason, text: str) -> None:
         """Answer a message with a fault, at most `Limits.refusals` times per second for each reason."""
-        times = self._refusals.setdefault(reason, deque(maxlen=self.limits.refusals))
+        times = self._rejection_times.setdefault(reason, deque(maxlen=self.limits.refusals))
         if len(times) == self.limits.refusals and now - times[0] < 1_000_000:
             return
         times.append(now)
         self._send_fault(now, session, reason, text)
 
     def report(self, now: int, read: Callable[[], Sensors]) -> None:
-        """Send a state if one is due, with the readings of `read`."""
+        """Send a state with the sensor readings of `read`, if one is due."""
         if now < self.next_state:
             return
         sensors = read()

@@ -1,4 +1,4 @@
-"""A board's end of a link that carries frames: bytes of hosts to its program, and its packets to bytes."""
+"""The board's end of a serial link: decodes frames from hosts for the board's program, and encodes its packets."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from surefoot.deploy.serial.frames import Decoder, encode_frame
 
 
 class HostFrames:
-    """Frames of hosts for a robot of so many motors."""
+    """Decoder and encoder of a robot's frames."""
 
     def __init__(self, motors: int) -> None:
-        # No text of a host means anything to a robot: it need not know UTF-8.
+        # A robot needs no text from a host, so it need not support UTF-8.
         self.codec = Codec(motors, text_errors="replace")
         self.restart()
 
     def restart(self) -> None:
-        """Forget frames that are not complete."""
+        """Discard incomplete frames."""
         self._decoder = Decoder(self.codec)
         self.statistics = self._decoder.statistics
-        """What was received since."""
+        """Counts since the last restart."""
 
     def receive(self, now: int, data: bytes, firmware: Firmware) -> None:
-        """Hand the board's program the packets that bytes complete, and report damage to it."""
+        """Decode bytes, and pass the resulting packets and reports of damage to the board's program."""
         statistics = self.statistics
         damaged, foreign = statistics.damaged + statistics.unknown, statistics.foreign
         packets = self._decoder.feed(data)
         if statistics.damaged + statistics.unknown > damaged:
-            firmware.watch.note_damage()
+            firmware.link_monitor.note_damage()
         if statistics.foreign > foreign:
-            firmware.refuse_foreign(now, f"schema is {self.codec.schema:#010x}")
+            firmware.reject_foreign(now, f"schema is {self.codec.schema:#010x}")
         for packet in packets:
             firmware.receive(now, packet)
 

@@ -1,4 +1,4 @@
-"""What a microcontroller allows, and its handshake."""
+"""Limits of a robot's microcontroller, and the handshake that states them."""
 
 from __future__ import annotations
 
@@ -11,57 +11,63 @@ import numpy as np
 from surefoot.deploy.messages import Handshake
 
 if TYPE_CHECKING:
-    from surefoot.robot import RobotDescription  # and with it URDF and sheets, which a board does not need
+    from surefoot.robot import RobotDescription  # not imported on a board, which needs neither URDF nor data sheets
 
 
 @dataclass(frozen=True)
 class Limits:
-    """When the microcontroller damps its motors by itself, and when it arms again. Times in s."""
+    """Limits at which a microcontroller damps its motors, and conditions for arming again. Times in s."""
 
     voltage: float
-    """Battery voltage [V] below which the robot damps itself."""
+    """Battery voltage below which the robot damps its motors [V]."""
     temperature: float
-    """Motor temperature [degC] beyond which the robot damps itself."""
+    """Motor temperature above which the robot damps its motors [degC]."""
     command_timeout: float = 0.050
-    """Silence after which an armed robot damps itself."""
+    """Time without a command after which an armed robot damps its motors."""
     stale_after: float = 3.0
-    """Command periods after which a command is too old to be obeyed."""
+    """Maximum age of a command [command periods]."""
     stale_drops: int = 3
-    """Commands dropped in a row that damp the robot."""
+    """Number of consecutive dropped commands after which the motors are damped."""
     rearm_after: float = 0.5
-    """Time that the link must be clean before a robot that damped itself arms."""
+    """Time that the link must be clean before the robot can be armed after a fault."""
     clean_gap: float = 0.1
-    """Longest silence of the operator on a clean link."""
+    """Maximum gap between packets on a clean link."""
     owner_timeout: float = 1.0
-    """Silence after which another operator may connect to a robot that is not armed."""
+    """Silence of the operator after which another one may connect, if the robot is not armed."""
     command_period: tuple[float, float] = (0.002, 0.050)
-    """Shortest and longest time between two commands."""
+    """Minimum and maximum period of commands."""
     state_period: tuple[float, float] = (0.001, 1.0)
-    """Shortest and longest time between two states; requests are clipped to them."""
+    """Minimum and maximum period of states; requests are clipped to them."""
     tilt: float = 1.0
-    """Roll or pitch [rad] beyond which the robot damps itself."""
+    """Roll or pitch beyond which the robot damps its motors [rad]."""
     voltage_time: float = 0.5
-    """How long the voltage must be low: it sags briefly when motors start."""
+    """Time for which the voltage must be low; it sags briefly when motors start."""
     duty: float = 1.0
-    """Largest duty that a PWM command may request; 0: the robot does not arm for duties."""
+    """Maximum duty of a PWM command; 0: the robot does not support PWM mode."""
     first_torque: float = math.inf
-    """Largest torque [N m] that the first command of a joint actuator may request, by its gain and present angle."""
+    """Maximum torque of the first command to a joint actuator, from its gain and present angle [N m]."""
     refusals: int = 10
-    """Greatest number of refusals per second for each reason."""
+    """Maximum number of rejections per second for each reason."""
 
     @classmethod
     def from_robot(cls, robot: RobotDescription) -> Limits:
-        """Return the limits of a robot; those of battery, motors and silence are its data sheet's."""
+        """Return the limits of a robot, with battery, temperature and command timeout from its data sheet."""
         return cls(robot.battery.empty, robot.heat.limit, command_timeout=robot.timing.command_timeout)
 
 
 def make_handshake(robot: RobotDescription, limits: Limits, firmware: str, servo_period: float) -> Handshake:
-    """Return the handshake of a robot; the session is filled in when an operator connects.
+    """Return the handshake of a robot; its session is set when an operator connects.
 
-    A command may request the robot's `command_range`. Gains are the data sheet's, whatever
-    an emulated robot's motors have. `firmware` is its name and version; the servo steps every `servo_period` [s].
+    Angle limits are the robot's `command_range`. Gains are the data sheet's, even if the motors of an emulated robot
+    have others.
+
+    Args:
+        robot: description of the robot.
+        limits: limits of the microcontroller.
+        firmware: name and version of the firmware.
+        servo_period: period of the servo [s].
     """
-    # Rounded as on the wire, so that a command of exactly these angles is within them.
+    # Rounded as on the wire, so that a command of exactly these angles is within the limits.
     low, high = (angles.astype(np.float32).astype(np.float64) for angles in robot.command_range)
     return Handshake(
         session=0,

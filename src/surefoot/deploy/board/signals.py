@@ -1,4 +1,4 @@
-"""What microcontroller and body exchange: readings one way, orders for the motors the other."""
+"""Interface between microcontroller and robot hardware: sensor readings in, motor commands out."""
 
 from __future__ import annotations
 
@@ -9,27 +9,30 @@ from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode, Reason
 
 Hazard = tuple[Reason, str]
-"""Why motors must not move, and what was seen."""
+"""Reason why the motors must not move, and a description."""
 
 
-@dataclass(slots=True)  # a frozen one takes three times as long, 500 times a second
+@dataclass(slots=True)  # frozen would take three times as long, 500 times per second
 class Vitals:
-    """What the microcontroller checks in every servo step; the tilt is the larger of |roll| and |pitch| [rad]."""
+    """Readings that the microcontroller checks in every servo step."""
 
     motor_angle: Array | Sequence[float]
+    """Motor angles (M,) [rad]."""
     tilt: float
+    """Maximum of |roll| and |pitch| [rad]."""
     voltage: float
+    """Battery voltage [V]."""
     temperature: float
-    """The hottest motor [degC]."""
+    """Temperature of the hottest motor [degC]."""
     hazard: Hazard | None = None
-    """What else damps the motors."""
+    """Further hazard that damps the motors."""
     sit: Hazard | None = None
-    """What asks the operator to bring the robot to rest."""
+    """Reason to ask the operator to bring the robot to rest."""
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """The readings in a state, as `messages.State` defines them."""
+    """Sensor readings of a state, as defined by `messages.State`."""
 
     motor_angle: Array
     motor_velocity: Array
@@ -42,15 +45,15 @@ class Sensors:
 
 
 @dataclass(frozen=True)
-class MotorOrder:
-    """What the motors do until the next order."""
+class MotorCommand:
+    """Command to all motors, valid until the next one."""
 
     mode: Mode
-    """POSITION: hold the target; PWM: duty; otherwise damped."""
+    """POSITION: motor angles; PWM: duties; otherwise the motors are damped."""
     values: Array
     """Motor angles [rad] or duties (M,)."""
 
 
 def microseconds(seconds: float) -> int:
-    """Return seconds as whole microseconds."""
+    """Convert seconds to whole microseconds."""
     return round(seconds * 1e6)

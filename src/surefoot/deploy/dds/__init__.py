@@ -1,1 +1,1 @@
-"""Link to a robot over DDS: messages and services of a Unitree Go2, the keeper process and its watcher."""
+"""Link to a Unitree Go2 over DDS: its messages and services, the supervisor process, and the watchdog process."""

@@ -1,6 +1,7 @@
-"""Topics of a DDS domain: raw bytes in and out, through one network interface.
+"""DDS participant on one network interface, with topics that send and receive raw bytes.
 
-Only cyclonedds 0.10 works with a Go2: version 11 makes peers of 0.10 crash, and does not find them on a loopback.
+Only cyclonedds 0.10 works with a Go2: version 11 crashes 0.10 peers, and does not discover them on a loopback
+interface.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _NO_MULTICAST = (
     "<AllowMulticast>false</AllowMulticast></General><Discovery><ParticipantIndex>auto</ParticipantIndex>"
     "<Peers><Peer address='localhost'/></Peers></Discovery>",
 )
-"""What cyclonedds does by itself on a loopback without multicast; said outright, it prints no warning."""
+"""The default of cyclonedds on a loopback interface without multicast; set explicitly, it prints no warning."""
 
 
 def _flags(interface: str) -> int:
@@ -41,7 +42,7 @@ def check_interface(name: str) -> str:
     """Return the IPv4 address of a network interface that is up.
 
     Raises:
-        SurefootError: no such interface, one that is down or has no cable, or one without an address.
+        SurefootError: the interface does not exist, is down, has no cable or no address.
     """
     names = [name for _, name in socket.if_nameindex()]
     if name not in names:
@@ -51,7 +52,7 @@ def check_interface(name: str) -> str:
         if not _flags(name) & _IFF_UP:
             raise SurefootError(f"network interface {name} is down; it must be up: sudo ip link set {name} up")
         if (folder / "operstate").read_text().strip() == "down":
-            raise SurefootError(f"network interface {name} has no carrier; check the cable and the robot's switch")
+            raise SurefootError(f"network interface {name} has no carrier; check the cable, and that the robot is on")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             answer = fcntl.ioctl(probe.fileno(), _SIOCGIFADDR, struct.pack("256s", name.encode()[:15]))
@@ -64,19 +65,19 @@ def check_interface(name: str) -> str:
 
 
 def _program(participant: Any) -> str:
-    """Return the name, process and computer of a participant that another program has announced."""
-    told = {one.key: one.value for one in participant.qos if type(one).__name__ == "Property"}
-    name, place = told.get("__ProcessName", "a program"), told.get("__Hostname")
-    process = f"process {told['__Pid']}" if "__Pid" in told else ""
-    where = " on ".join(part for part in (process, place) if part)
+    """Return the program name, process and computer of another program's participant."""
+    properties = {one.key: one.value for one in participant.qos if type(one).__name__ == "Property"}
+    name, host = properties.get("__ProcessName", "a program"), properties.get("__Hostname")
+    process = f"process {properties['__Pid']}" if "__Pid" in properties else ""
+    where = " on ".join(part for part in (process, host) if part)
     return f"{name} ({where})" if where else name
 
 
 class Bus:
-    """A participant of a DDS domain on one interface; a process has one domain, and at most one bus of it at a time.
+    """Participant of a DDS domain on one network interface. A process can have one domain, and one bus at a time.
 
     Raises:
-        SurefootError: no cyclonedds, an interface that does not carry, or a domain that has no room.
+        SurefootError: no cyclonedds, an interface that cannot be used, or a domain with too many programs.
     """
 
     def __init__(self, interface: str, domain: int = 0) -> None:
@@ -94,40 +95,40 @@ class Bus:
             self.participant = DomainParticipant(domain)
         except DDSException as error:
             raise SurefootError(
-                f"DDS does not start in domain {domain} on {interface}: {error}; on a loopback without multicast "
-                "a domain has room for nine programs"
+                f"DDS does not start in domain {domain} on {interface}: {error}; on a loopback interface without "
+                "multicast, a domain is limited to nine programs"
             ) from error
 
-    def types_of(self, name: str) -> list[str]:
-        """Return the types with which others write a topic, as far as DDS has found them."""
+    def type_names(self, topic: str) -> list[str]:
+        """Return the type names of a topic's writers that DDS has discovered."""
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 
-        found = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication).take(1000)
-        return sorted({entry.type_name for entry in found if entry.topic_name == name})
+        writers = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication).take(1000)
+        return sorted({writer.type_name for writer in writers if writer.topic_name == topic})
 
-    def writers_of(self, name: str) -> list[str]:
-        """Return the programs that announce to write a topic, as far as DDS has found them, by name and process."""
+    def writer_names(self, topic: str) -> list[str]:
+        """Return the programs that write a topic, by name and process, as far as DDS has discovered them."""
         from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsParticipant, BuiltinTopicDcpsPublication
 
         writers = BuiltinDataReader(self.participant, BuiltinTopicDcpsPublication).take(1000)
         programs = BuiltinDataReader(self.participant, BuiltinTopicDcpsParticipant).take(1000)
-        keys = {str(one.participant_key) for one in writers if one.topic_name == name}
-        found = {str(one.key): _program(one) for one in programs if one.key != self.participant.guid}
-        return sorted(found.get(key, "an unknown program") for key in keys)
+        keys = {str(writer.participant_key) for writer in writers if writer.topic_name == topic}
+        names = {str(one.key): _program(one) for one in programs if one.key != self.participant.guid}
+        return sorted(names.get(key, "an unknown program") for key in keys)
 
     def close(self) -> None:
-        """Leave the domain, with all readers and writers of this bus."""
+        """Leave the domain, and delete all readers and writers of this bus."""
         for entity in (self.participant, self._domain):
             entity.__del__()
 
     def topic(self, name: str, kind: type[_T]) -> Any:
-        """Return a topic with the type `kind` of `types`."""
+        """Return a topic with a message type of `types`."""
         from cyclonedds.topic import Topic
 
         return Topic(self.participant, name, kind)
 
     def writer(self, name: str, kind: type[_T]) -> RawWriter:
-        """Return a writer of a topic: reliable, the last message kept."""
+        """Return a reliable writer of a topic that keeps the last message."""
         from cyclonedds.pub import DataWriter
         from cyclonedds.qos import Policy, Qos
         from cyclonedds.util import duration
@@ -137,9 +138,9 @@ class Bus:
         return RawWriter(self, DataWriter(self.participant, self.topic(name, kind), qos))
 
     def reader(self, name: str, kind: type[_T], depth: int = 1, others: bool = False) -> RawReader[_T]:
-        """Return a reader of a topic, best effort, that keeps the last `depth` messages.
+        """Return a best-effort reader of a topic that keeps the last `depth` messages.
 
-        `others`: without the messages of this bus's own writers.
+        `others` is whether to ignore messages of this bus's own writers.
         """
         from cyclonedds.qos import Policy, Qos
         from cyclonedds.sub import DataReader
@@ -151,31 +152,31 @@ class Bus:
 
 
 class RawWriter:
-    """Writes messages that are packed already."""
+    """Writer of messages that are already encoded."""
 
     def __init__(self, bus: Bus, writer: Any) -> None:
         from cyclonedds._clayer import ddspy_write
 
-        self._bus = bus  # with its participant, DDS deletes all that is in it
+        self._bus = bus  # DDS deletes the writer together with its participant
         self._writer, self._write = writer, ddspy_write
 
     @property
     def readers(self) -> int:
-        """Number of readers of the topic that DDS has found."""
+        """Number of readers of the topic that DDS has discovered."""
         return max(int(self._writer._dll_handle.dds_get_matched_subscriptions(self._writer._ref, None, 0)), 0)
 
     def write(self, data: bytes) -> bool:
-        """Write a message with its CDR header, its length a multiple of 4; return whether DDS has taken it."""
+        """Write a message with CDR header and a length that is a multiple of 4; return whether DDS accepted it."""
         return bool(self._write(self._writer._ref, data) >= 0)
 
     def write_message(self, message: Any) -> bool:
-        """Write a message of `types`, which takes some tenths of a millisecond."""
+        """Encode and write a message of `types`, which takes a few tenths of a millisecond."""
         data = message.serialize()
         return self.write(data + bytes(-len(data) % 4))
 
 
 class RawReader(Generic[_T]):
-    """Reads messages as bytes; never waits."""
+    """Reader of encoded messages; never waits."""
 
     def __init__(self, bus: Bus, reader: Any, kind: type[_T]) -> None:
         from cyclonedds._clayer import ddspy_take
@@ -184,15 +185,15 @@ class RawReader(Generic[_T]):
         self._reader, self._take, self._kind = reader, ddspy_take, kind
 
     def take(self, count: int = 16) -> list[bytes]:
-        """Return at most `count` messages with their CDR headers, oldest first, and forget them."""
+        """Remove and return at most `count` messages with their CDR headers, oldest first."""
         taken = self._take(self._reader._ref, count)
         return [] if isinstance(taken, int) else [data for data, info in taken if info.valid_data]
 
     def take_messages(self, count: int = 16) -> list[_T]:
-        """Return messages of `types`, which takes some tenths of a millisecond each; damaged ones are left out."""
+        """Return decoded messages of `types`, without damaged ones; takes a few tenths of a millisecond each."""
         messages = []
         for data in self.take(count):
-            # What a damaged message raises depends on where its bytes end: errors of struct, of text, of lengths.
+            # The exception of a damaged message depends on where its bytes end.
             with contextlib.suppress(Exception):
                 messages.append(self._kind.deserialize(data))  # type: ignore[attr-defined]
         return messages

@@ -1,4 +1,4 @@
-"""A link to a Go2 over DDS: the protocol of a board, spoken with the keeper process over a pair of sockets."""
+"""Link to a Go2 over DDS: the wire protocol of a board, spoken with the supervisor process through a socket pair."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ from surefoot.errors import SurefootError, choices
 from surefoot.robot import RobotDescription
 
 FIRST_TORQUE = 5.0
-"""Largest torque [N m] that the first command after arming may request."""
-FIRMWARE = "surefoot keeper"
-_KEEPER, _WATCHER = "surefoot.deploy.dds.keeper", "surefoot.deploy.dds.watcher"
-_ENDING = 5.0
-"""Time [s] for the keeper to damp the motors and end."""
+"""Maximum torque that the first command after arming may request [N m]."""
+FIRMWARE = "surefoot supervisor"
+_SUPERVISOR, _WATCHDOG = "surefoot.deploy.dds.supervisor", "surefoot.deploy.dds.watchdog"
+_EXIT_TIMEOUT = 5.0
+"""Time for the supervisor to damp the motors and exit [s]."""
 
 
 def make_config(
@@ -41,17 +41,22 @@ def make_config(
     gains: tuple[ArrayLike, ArrayLike] | None = None,
     silence: float = 0.0,
 ) -> LinkConfig:
-    """Return what the keeper needs of a robot.
+    """Return the configuration of the supervisor for a robot.
 
-    `gains` of its servos are in place of the data sheet's; the keeper waits for commands for `silence` [s] at least.
+    Args:
+        robot: its description.
+        interface: network interface that leads to the robot.
+        domain: DDS domain.
+        gains: servo gains kp and kd [N m/rad, N m s/rad], for all motors or for each. Default to the data sheet's.
+        silence: minimum time without a command after which the motors are damped [s], if over the data sheet's.
 
     Raises:
-        SurefootError: a robot whose motors are not a Go2's.
+        SurefootError: the motors are not a Go2's.
     """
     if tuple(robot.motor_names) != MOTOR_NAMES or (robot.motor_sign != 1).any() or robot.actuator.kind != "joint":
         raise SurefootError(
-            f"a link over DDS speaks with a Unitree Go2; {robot.name} must have its joint actuators, all signs +1, in "
-            f"this order: {choices(MOTOR_NAMES)}"
+            f"a DDS link needs a Unitree Go2; {robot.name} must have joint actuators, all with sign +1, in this order: "
+            f"{choices(MOTOR_NAMES)}"
         )
     limits = replace(Limits.from_robot(robot), duty=0.0, first_torque=FIRST_TORQUE)
     limits = replace(limits, command_timeout=max(limits.command_timeout, silence))
@@ -63,7 +68,7 @@ def make_config(
 
 
 def inspect(config: LinkConfig, robot: RobotDescription, release: Callable[[str], bool]) -> list[CheckResult]:
-    """Return the results of an `Inspection` of the robot; see there."""
+    """Check a Go2 before it is armed; return the results of `Inspection.inspect`."""
     bus = Bus(config.interface, config.domain)
     try:
         inspection = Inspection(bus, config.interface, config.domain)
@@ -73,29 +78,31 @@ def inspect(config: LinkConfig, robot: RobotDescription, release: Callable[[str]
 
 
 def check_priority(processes: Sequence[int]) -> CheckResult:
-    """Return whether processes have a real-time priority; without one, nothing is wrong on a computer that is idle."""
-    name = "keeper's priority"
+    """Check whether processes have real-time priority. Without it the result is a warning: an idle computer is fine."""
+    name = "supervisor priority"
     if all(os.sched_getscheduler(process) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO for process in processes):
         return CheckResult(name, True, "real time, above the control loop's")
-    message = "ordinary: beside other programs it holds the robot late, and damps it"
-    return CheckResult(name, None, message, "allow real time: sudo setcap cap_sys_nice+ep on Python, or a limit rtprio")
+    message = "ordinary: if other programs are busy, the supervisor may be late, and then damps the motors"
+    return CheckResult(
+        name, None, message, "allow real-time priority: sudo setcap cap_sys_nice+ep on Python, or an rtprio limit"
+    )
 
 
 class DdsLink(SerialLink):
-    """A link to the keeper, which it starts, and which ends with it.
+    """Link to the supervisor process; it starts supervisor and watchdog, and they exit when it is closed.
 
     Args:
-        config: what the keeper must know.
-        session: number of the operator's session; drawn, if not given.
-        hand_back: select the robot's own controller at the end.
-        checks: results of what was checked before.
+        config: configuration of the supervisor.
+        session: number of the operator's session. Defaults to a random one.
+        hand_back: whether to select the robot's own controller at the end.
+        checks: results of earlier checks.
 
     Raises:
-        SurefootError: the keeper or the watcher does not start.
+        SurefootError: the supervisor or the watchdog does not start.
     """
 
-    hears_others = True
-    advice = "the keeper process does not answer: close other programs"
+    detects_other_programs = True
+    advice = "the supervisor process does not answer: close other programs"
 
     def __init__(
         self,
@@ -104,11 +111,11 @@ class DdsLink(SerialLink):
         hand_back: bool = False,
         checks: Sequence[CheckResult] = (),
     ) -> None:
-        (here, host), (keeper, watcher) = socket.socketpair(), socket.socketpair()
-        self.children = [Child(_WATCHER, config, [watcher]), Child(_KEEPER, config, [host, keeper])]
-        for end in (host, keeper, watcher):
+        (here, host), (supervisor, watchdog) = socket.socketpair(), socket.socketpair()
+        self.children = [Child(_WATCHDOG, config, [watchdog]), Child(_SUPERVISOR, config, [host, supervisor])]
+        for end in (host, supervisor, watchdog):
             end.close()
-        super().__init__(SocketPort(here, "the keeper process"), Codec(len(MOTOR_NAMES)), MonotonicClock(), session)
+        super().__init__(SocketPort(here, "the supervisor process"), Codec(len(MOTOR_NAMES)), MonotonicClock(), session)
         self.preliminary_checks = list(checks)
         self._config, self._hand_back = config, hand_back
         try:
@@ -120,16 +127,16 @@ class DdsLink(SerialLink):
             raise
 
     def close(self) -> None:
-        """End the session; return when the keeper has damped the motors and has ended.
+        """End the session; return when the supervisor has damped the motors and exited.
 
         Raises:
-            SurefootError: the robot's own controller should have been selected, and was not.
+            SurefootError: the robot's own controller could not be selected.
         """
         children, self.children = self.children, []
         with contextlib.suppress(LinkLostError):
             super().close()
         for child in children:
-            child.finish(_ENDING)
+            child.finish(_EXIT_TIMEOUT)
         if self._hand_back and children:
             bus = Bus(self._config.interface, self._config.domain)
             try:

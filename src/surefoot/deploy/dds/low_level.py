@@ -1,8 +1,8 @@
 """Low-level messages of a Go2, rt/lowstate and rt/lowcmd, as numpy records in the layout of the vendor's C structs.
 
-On the wire (CDR, little-endian, after a header of 4 bytes) they have the layout of the C struct, but for one thing: the
-first motor's `mode` follows the field before it at once, where C aligns it to 4 bytes. Units: SI, degC, mA, mV;
-`docs/go2.md` names the sources. The checksum covers all words of the C struct but the last, with padding of zeros.
+On the wire (CDR, little-endian, after a header of 4 bytes) they have the layout of the C struct with one exception: the
+first motor's `mode` directly follows the field before it, while C aligns it to 4 bytes. Units: SI, degC, mA, mV;
+`docs/go2.md` lists the sources. The checksum covers all words of the C struct except the last, with zero padding.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 
 SLOTS = 20
-"""Motors in a message; the Go2's are the first 12: hip, thigh and calf of FR, FL, RR, RL."""
+"""Number of motors in a message; the Go2 has the first 12: hip, thigh and calf of FR, FL, RR, RL."""
 MOTOR_NAMES = tuple(f"{leg}_{part}_joint" for leg in ("FR", "FL", "RR", "RL") for part in ("hip", "thigh", "calf"))
 POS_STOP, VEL_STOP = 2.146e9, 16000.0
-"""Angle and speed of a command that mean: none."""
+"""Special values of angle and speed in a command that mean that none is commanded."""
 SERVO = 1
-"""`mode` of a motor that is on."""
+"""`mode` of a motor that is switched on."""
 HEAD, COMMAND_LEVEL = (0xFE, 0xEF), 0xFF
 STATE_PERIOD = 0.002
-"""Time [s] between two states of a Go2."""
+"""Period of a Go2's states [s]."""
 
 _FRAME = [("head", "u1", 2), ("level_flag", "u1"), ("frame_reserve", "u1"), ("sn", "<u4", 2)]
 _FRAME += [("version", "<u4", 2), ("bandwidth", "<u2")]
@@ -95,15 +95,15 @@ LOW_COMMAND = _record(
 _CDR_HEADER = bytes((0, 1, 0, 0))
 _REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 Record = NDArray[np.void]
-"""One message: an array of shape () of LOW_STATE or LOW_COMMAND."""
+"""A message: an array of shape () with dtype LOW_STATE or LOW_COMMAND."""
 
 
 class BadMessageError(SurefootError):
-    """A message of another layout, or one with a wrong checksum."""
+    """The message has another layout, or a wrong checksum."""
 
 
 def _used(kind: np.dtype[Any]) -> NDArray[np.uint8]:
-    """Return 255 for each byte of a record that a field uses, 0 for padding."""
+    """Return a mask of a record: 255 for each byte of a field, 0 for padding."""
     used = np.zeros(kind.itemsize, np.uint8)
     for part, offset, *_ in (kind.fields or {}).values():
         base, count = part.base, int(np.prod(part.shape, dtype=int))
@@ -114,7 +114,7 @@ def _used(kind: np.dtype[Any]) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True)
 class _Layout:
-    """Where the first motor's `mode` is in CDR and in C, and which bytes of the C struct are used."""
+    """Offsets of the first motor's `mode` in CDR and in the C struct, and the mask of used bytes of the C struct."""
 
     cdr_mode: int
     c_mode: int
@@ -132,12 +132,12 @@ _LAYOUTS = {
 
 
 def new_record(kind: np.dtype[Any]) -> Record:
-    """Return a message of zeros, padding included."""
+    """Return a message in which all bytes are zero, including padding."""
     return np.zeros((), kind)
 
 
 def new_command() -> Record:
-    """Return a command that sets no motor: all are on, without angle, speed, torque and gains."""
+    """Return a command without effect: all motors are on, without angle, speed, torque and gains."""
     command = new_record(LOW_COMMAND)
     command["head"], command["level_flag"] = HEAD, COMMAND_LEVEL
     motors = command["motor_cmd"]
@@ -146,10 +146,10 @@ def new_command() -> Record:
 
 
 def _crc(words: bytes) -> int:
-    """Return zlib's CRC of 32-bit words in the order of bits that the robot's checksum has; `array` swaps most quickly.
+    """Return the CRC of zlib over 32-bit words in the bit order of the robot's checksum; `array` swaps bytes fastest.
 
-    CRC-32/MPEG-2 over byte-swapped words: polynomial 04C11DB7, start FFFFFFFF, no reflection, no inversion. zlib's CRC
-    has the same polynomial, reflected and inverted.
+    The robot uses CRC-32/MPEG-2 over byte-swapped words: polynomial 04C11DB7, initial value FFFFFFFF, no reflection, no
+    inversion. The CRC of zlib has the same polynomial, reflected and inverted.
     """
     swapped = array("I", words)
     swapped.byteswap()
@@ -157,13 +157,13 @@ def _crc(words: bytes) -> int:
 
 
 def checksum(record: Record) -> int:
-    """Return the checksum of a message whose padding is zero."""
+    """Return the checksum of a message with zero padding."""
     crc = _crc(record.tobytes()[:-4]) ^ 0xFFFFFFFF
     return int.from_bytes(crc.to_bytes(4, "little").translate(_REVERSED), "big")
 
 
 def encode(record: Record) -> bytes:
-    """Write the checksum into a message and return its bytes on the wire."""
+    """Write the checksum into a message, and return its encoded bytes."""
     record["crc"] = checksum(record)
     data, layout = record.tobytes(), _LAYOUTS[record.dtype]
     first = data[: layout.cdr_mode] + data[layout.c_mode : layout.c_mode + 1]
@@ -171,9 +171,9 @@ def encode(record: Record) -> bytes:
 
 
 def unpack(kind: np.dtype[Any], data: bytes, check: bool = True) -> bytes:
-    """Return the bytes of a message's C struct, with padding of zero, from those on the wire.
+    """Return the bytes of a message's C struct, with zero padding, from its encoded bytes.
 
-    The checksum is checked, unless somebody may have left it out.
+    `check` is whether to verify the checksum, which some writers omit.
 
     Raises:
         BadMessageError: another length or encoding, or a wrong checksum.
@@ -186,15 +186,15 @@ def unpack(kind: np.dtype[Any], data: bytes, check: bool = True) -> bytes:
     gap = bytes(layout.c_mode - layout.cdr_mode)
     raw = b"".join((data[4:mode], gap, data[mode : mode + 1], bytes(3), data[(mode + 4) // 4 * 4 :]))
     raw = (np.frombuffer(raw, np.uint8) & layout.used).tobytes()
-    # A CRC over a message and its own checksum has no remainder.
+    # The CRC of a message followed by its own checksum is constant.
     if check and _crc(raw) != 0xFFFFFFFF:
         record = np.frombuffer(raw, kind).reshape(())
-        raise BadMessageError(f"the checksum is {int(record['crc'])}; of these bytes it is {checksum(record)}")
+        raise BadMessageError(f"the checksum is {int(record['crc'])}; it must be {checksum(record)}")
     return raw
 
 
 def decode(kind: np.dtype[Any], data: bytes, check: bool = True) -> Record:
-    """Return the message of bytes from the wire, as `unpack` takes them.
+    """Return the message of encoded bytes; see `unpack`.
 
     Raises:
         BadMessageError: another length or encoding, or a wrong checksum.
@@ -206,8 +206,8 @@ _BUTTONS = ("R1", "L1", "start", "select", "R2", "L2", "F1", "F2", "A", "B", "X"
 
 
 @dataclass(frozen=True)
-class Remote:
-    """The remote control: buttons that are pressed, and sticks, -1 to 1 (left and right, x to the right, y up)."""
+class RemoteControl:
+    """Remote control: pressed buttons, and deflections of the left and right stick, -1 to 1 (x to the right, y up)."""
 
     buttons: frozenset[str]
     left_x: float
@@ -216,8 +216,8 @@ class Remote:
     right_y: float
 
     @classmethod
-    def decode(cls, data: NDArray[np.uint8]) -> Remote:
-        """Return what the 40 bytes `wireless_remote` of a state say; without a remote, all are zero."""
+    def decode(cls, data: NDArray[np.uint8]) -> RemoteControl:
+        """Decode the 40 bytes `wireless_remote` of a state; without a remote control, all are zero."""
         raw = data.tobytes()
         word = int.from_bytes(raw[2:4], "little")
         left_x, right_x, right_y, _, left_y = np.frombuffer(raw, "<f4", 5, 4).tolist()
@@ -225,7 +225,7 @@ class Remote:
         return cls(pressed, left_x, left_y, right_x, right_y)
 
     def encode(self) -> NDArray[np.uint8]:
-        """Return the 40 bytes."""
+        """Return the encoded 40 bytes."""
         word = sum(1 << _BUTTONS.index(name) for name in self.buttons)
         sticks = np.array([self.left_x, self.right_x, self.right_y, 0.0, self.left_y], "<f4")
         return np.frombuffer(bytes(2) + word.to_bytes(2, "little") + sticks.tobytes() + bytes(16), np.uint8)

@@ -1,4 +1,4 @@
-"""A Go2's own motion controller: which one is active, its release, and how it gets the robot back."""
+"""Requests about a Go2's own motion controllers: the active one, its release, and its selection at the end."""
 
 from __future__ import annotations
 
@@ -9,54 +9,55 @@ from surefoot.deploy.dds import services
 from surefoot.deploy.dds.bus import Bus
 from surefoot.errors import SurefootError
 
-LIE_DOWN, RELEASE = 10.0, 5.0
-"""Longest time [s] for the robot to lie down, and for its controller to be released."""
-_ANSWER = 1.0
-_POLL = 0.1
+LIE_DOWN_TIMEOUT, RELEASE_TIMEOUT = 10.0, 5.0
+"""Maximum times for the robot to lie down, and for the release of its controller [s]."""
+_ANSWER_TIMEOUT = 1.0
+_POLL_PERIOD = 0.1
 
 
 class MotionService:
-    """Requests to a Go2's motion switcher and sport service."""
+    """Client of a Go2's motion switcher and sport service."""
 
     def __init__(self, bus: Bus) -> None:
         self._switcher = services.Client(bus, services.MOTION_SWITCHER)
         self._sport = services.Client(bus, services.SPORT)
 
-    def active(self) -> str | None:
-        """Return the name of the active controller, empty if there is none; None if the robot does not answer."""
+    def active_controller(self) -> str | None:
+        """Return the name of the active controller, "" for no controller, or None if the robot does not answer."""
         try:
-            return services.mode_name(self._switcher.call(services.CHECK_MODE, timeout=_ANSWER))
+            return services.mode_name(self._switcher.call(services.CHECK_MODE, timeout=_ANSWER_TIMEOUT))
         except SurefootError:
             return None
 
-    def release(self, lies: Callable[[], bool]) -> None:
-        """Let the robot lie down, then release its controller: a robot that stands would sink.
+    def release(self, is_lying: Callable[[], bool]) -> None:
+        """Make the robot lie down, then release its controller; a standing robot would sink.
 
         Args:
-            lies: waits a moment, and returns whether the robot lies still.
+            is_lying: observes the robot for a moment, and returns whether it lies still.
 
         Raises:
-            SurefootError: it does not lie down, its controller stays, or a service does not answer.
+            SurefootError: the robot does not lie down, its controller is not released, or a service does not answer.
         """
         self._sport.call(services.STAND_DOWN)
-        end = time.monotonic() + LIE_DOWN
-        while not lies():
+        end = time.monotonic() + LIE_DOWN_TIMEOUT
+        while not is_lying():
             if time.monotonic() > end:
                 raise SurefootError(
-                    f"the robot does not lie down within {LIE_DOWN:g} s; its controller was not released, and nothing "
-                    "else was sent"
+                    f"the robot does not lie down within {LIE_DOWN_TIMEOUT:g} s; its controller was not released, and "
+                    "nothing else was sent"
                 )
-        end = time.monotonic() + RELEASE
-        while self.active() != "":
+        end = time.monotonic() + RELEASE_TIMEOUT
+        while self.active_controller() != "":
             if time.monotonic() > end:
-                raise SurefootError(f"the robot's controller '{self.active()}' is not released within {RELEASE:g} s")
+                name = self.active_controller()
+                raise SurefootError(f"the robot's controller '{name}' is not released within {RELEASE_TIMEOUT:g} s")
             self._switcher.call(services.RELEASE_MODE)
-            time.sleep(_POLL)
+            time.sleep(_POLL_PERIOD)
 
     def hand_back(self) -> None:
-        """Select the robot's own controller; it takes over a robot that lies.
+        """Select the robot's own controller, while the robot is lying.
 
         Raises:
-            SurefootError: the robot does not answer, or refuses.
+            SurefootError: the robot does not answer, or rejects the request.
         """
         self._switcher.call(services.SELECT_MODE, {"name": services.OWN_CONTROLLER})

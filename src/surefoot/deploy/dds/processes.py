@@ -1,4 +1,4 @@
-"""Processes of a link over DDS, the keeper and its watcher: how they start, what they get, and how they end."""
+"""Start and end of the processes behind a DDS link: the supervisor and its watchdog."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from surefoot.deploy.board.limits import Limits
 from surefoot.deploy.dds.bus import Bus, RawWriter
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.messages import Handshake
-from surefoot.deploy.pacer import BOARD_PRIORITY, undisturbed
+from surefoot.deploy.pacer import BOARD_PRIORITY, real_time_priority
 from surefoot.errors import SurefootError
-from surefoot.stop_signals import ALL
+from surefoot.stop_signals import STOP_SIGNALS
 
 _READY = "ready"
-_START, _DISCOVERY = 20.0, 2.0
-"""Longest time [s] to start, and to find the robot's reader of commands."""
+_START_TIMEOUT, _DISCOVERY_TIMEOUT = 20.0, 2.0
+"""Maximum times to start a process, and to discover the robot's reader of motor commands [s]."""
 
 
 @dataclass(frozen=True)
 class LinkConfig:
-    """What the processes of a link must know."""
+    """Configuration of supervisor and watchdog: handshake and limits of the robot, network interface, DDS domain."""
 
     handshake: Handshake
     limits: Limits
@@ -39,12 +39,12 @@ class LinkConfig:
 
 
 class Child:
-    """A process of the link, in a session of its own: no signal of the terminal reaches it.
+    """Child process of a link, in a session of its own, so that signals of the terminal do not reach it.
 
     Args:
-        module: what it runs.
-        config: its configuration.
-        ends: its ends of sockets to others.
+        module: Python module to run.
+        config: its configuration, sent through standard input.
+        ends: sockets that the process inherits.
     """
 
     def __init__(self, module: str, config: LinkConfig, ends: Sequence[socket.socket]) -> None:
@@ -66,24 +66,24 @@ class Child:
 
     @property
     def pid(self) -> int:
-        """Its number among the computer's processes."""
+        """Process number."""
         return self._process.pid
 
     def await_ready(self) -> None:
-        """Wait until the process has started.
+        """Wait until the process reports that it is ready.
 
         Raises:
             SurefootError: it does not start.
         """
         output = self._process.stdout
         assert output is not None
-        started = select.select([output], [], [], _START)[0]
-        line = output.readline().decode().strip() if started else f"it does not start within {_START:g} s"
+        started = select.select([output], [], [], _START_TIMEOUT)[0]
+        line = output.readline().decode().strip() if started else f"it does not start within {_START_TIMEOUT:g} s"
         if line != _READY:
-            raise SurefootError(line or self.last_words())
+            raise SurefootError(line or self.exit_message())
 
-    def last_words(self) -> str:
-        """Return how the process has ended."""
+    def exit_message(self) -> str:
+        """Return a message with the last error of a process that has ended."""
         with contextlib.suppress(subprocess.TimeoutExpired):
             self._process.wait(1.0)
         self._errors.seek(0)
@@ -91,7 +91,7 @@ class Child:
         return f"the {self.name} process has ended{f': {lines[-1]}' if lines else ''}"
 
     def finish(self, timeout: float) -> None:
-        """Wait until the process has ended by itself; kill it after `timeout` [s]."""
+        """Wait until the process exits; kill it after `timeout` [s]."""
         try:
             self._process.wait(timeout)
         except subprocess.TimeoutExpired:
@@ -103,24 +103,24 @@ class Child:
 
 
 class Runnable(Protocol):
-    """What a process does once it has started."""
+    """Main loop of a child process."""
 
     def run(self) -> None:
-        """Run to the end."""
+        """Run until the process should exit."""
 
 
 def serve(prepare: Callable[[LinkConfig, Bus, list[SocketPort]], Runnable]) -> int:
-    """Run a process of the link, which `Child` has started; return its exit code.
+    """Run a process that `Child` has started, from configuration to end; return its exit code.
 
-    Signals of a terminal or a service do not end it: the control loop brings the robot to rest first, and ends this
-    process by closing its socket.
+    Signals of a terminal or a service manager are ignored: the control loop first brings the robot to rest, then ends
+    this process by closing its socket.
     """
-    for name in ALL:
+    for name in STOP_SIGNALS:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     config: LinkConfig = pickle.load(sys.stdin.buffer)
     ports = [SocketPort(socket.socket(fileno=int(word)), "the other process") for word in sys.argv[1:]]
-    # Threads of DDS get this priority too: a state that waits for a busy computer is a late one.
-    with undisturbed(BOARD_PRIORITY, threads=True):
+    # The threads of DDS also get this priority; otherwise states are late on a busy computer.
+    with real_time_priority(BOARD_PRIORITY, threads=True):
         try:
             child = prepare(config, Bus(config.interface, config.domain), ports)
         except SurefootError as error:
@@ -132,7 +132,7 @@ def serve(prepare: Callable[[LinkConfig, Bus, list[SocketPort]], Runnable]) -> i
 
 
 def await_readers(writer: RawWriter) -> None:
-    """Wait until DDS has found a reader, so that no message is lost; at most `_DISCOVERY`."""
-    end = time.monotonic() + _DISCOVERY
+    """Wait until DDS has discovered a reader, at most `_DISCOVERY_TIMEOUT`; earlier messages would be lost."""
+    end = time.monotonic() + _DISCOVERY_TIMEOUT
     while not writer.readers and time.monotonic() < end:
         time.sleep(0.01)

@@ -1,8 +1,8 @@
-"""Services of a Go2 over DDS: a request on rt/api/NAME/request, its response on rt/api/NAME/response.
+"""Services of a Go2 over DDS: requests on rt/api/NAME/request, responses on rt/api/NAME/response.
 
-Numbers of calls and error codes are those of the vendor's SDK (unitree_sdk2_python: `comm/motion_switcher`,
-`go2/sport`, `rpc/internal.py`). A call number means another thing in each service: 1001 asks the motion switcher for
-its mode, and makes the sport service damp all motors, so that a standing robot drops.
+Call numbers and error codes are from the vendor's SDK (unitree_sdk2_python: `comm/motion_switcher`, `go2/sport`,
+`rpc/internal.py`). A call number has a different meaning in each service: 1001 asks the motion switcher for its mode,
+but makes the sport service damp all motors, so that a standing robot drops.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ CHECK_MODE, SELECT_MODE, RELEASE_MODE = 1001, 1002, 1003
 SPORT = "sport"
 DAMP, BALANCE_STAND, STOP_MOVE, STAND_UP, STAND_DOWN, RECOVERY_STAND = 1001, 1002, 1003, 1004, 1005, 1006
 OWN_CONTROLLER = "mcf"
-"""Name of the robot's own controller in the motion switcher, from the robot's software 1.1.6 on."""
+"""Name of the robot's own controller in the motion switcher, since version 1.1.6 of the robot's software."""
 OK, NOT_IMPLEMENTED, BAD_PARAMETER = 0, 3203, 3204
-_QUEUE = 16
+_QUEUE_DEPTH = 16
 _RESEND_AFTER = 0.3
-"""Time [s] until a request is repeated: discovery may still have been in progress when it was sent."""
+"""Time after which a request is repeated [s]; DDS discovery may have been incomplete when it was sent."""
 _POLL_PERIOD = 0.002
 
 Answer = tuple[int, str]
-"""Error code, 0 for none, and data."""
+"""Error code (0: no error) and data of a response."""
 Handler = Callable[[str], Answer]
-"""Takes the parameter of a call and returns its answer."""
+"""Function from the parameter of a call to its answer."""
 
 
 def _topics(service: str) -> tuple[str, str]:
@@ -40,7 +40,7 @@ def _topics(service: str) -> tuple[str, str]:
 
 
 def parse_object(text: str) -> dict[str, Any]:
-    """Return a JSON object of parameters or data; empty for anything else."""
+    """Parse a JSON object; return {} for anything else."""
     try:
         value = json.loads(text)
     except (ValueError, RecursionError):
@@ -49,29 +49,29 @@ def parse_object(text: str) -> dict[str, Any]:
 
 
 class Server:
-    """Answers requests to a service. It has no thread: call `serve` often.
+    """Server of a service. It has no thread: call `serve` frequently.
 
     Args:
-        bus: where requests come from.
-        service: its name.
-        handlers: by number of the call.
+        bus: DDS participant.
+        service: name of the service.
+        handlers: handlers by call number.
     """
 
     def __init__(self, bus: Bus, service: str, handlers: Mapping[int, Handler]) -> None:
         request, response = _topics(service)
-        self._requests = bus.reader(request, types.Request, _QUEUE)
+        self._requests = bus.reader(request, types.Request, _QUEUE_DEPTH)
         self._responses = bus.writer(response, types.Response)
         self._handlers = handlers
 
     def serve(self) -> None:
-        """Answer the requests that have come since the last call."""
-        for request in self._requests.take_messages(_QUEUE):
+        """Answer the requests that have arrived since the last call."""
+        for request in self._requests.take_messages(_QUEUE_DEPTH):
             identity = request.header.identity
             handler = self._handlers.get(identity.api_id)
             if handler is not None:
                 code, data = handler(request.parameter)
             else:
-                # Every service states its version under number 1.
+                # Call 1 of every service returns its version.
                 code, data = (OK, "1.0.0.1") if identity.api_id == 1 else (NOT_IMPLEMENTED, "")
             if not request.header.policy.noreply:
                 header = types.ResponseHeader(identity, types.ResponseStatus(code))
@@ -79,18 +79,18 @@ class Server:
 
 
 class Client:
-    """Sends requests to a service and takes its responses."""
+    """Client of a service."""
 
     def __init__(self, bus: Bus, service: str) -> None:
         request, response = _topics(service)
         self.service = service
         self._requests = bus.writer(request, types.Request)
-        self._responses = bus.reader(response, types.Response, _QUEUE)
-        # Other clients hear the same responses: numbers begin at the present, as the vendor's do.
+        self._responses = bus.reader(response, types.Response, _QUEUE_DEPTH)
+        # Other clients receive the same responses, so numbers start at the present time, as in the vendor's clients.
         self._numbers = itertools.count(time.monotonic_ns())
 
     def send(self, call: int, parameter: Mapping[str, Any] | None = None, number: int | None = None) -> int:
-        """Send a request and return its number; `number` repeats the one that had it."""
+        """Send a request and return its number; `number` is given to repeat an earlier request."""
         if number is None:
             number = next(self._numbers)
         header = types.RequestHeader(types.RequestIdentity(number, call))
@@ -98,17 +98,17 @@ class Client:
         return number
 
     def responses(self) -> dict[int, Answer]:
-        """Return the responses that have come since the last call, by number of the request; it never waits."""
+        """Return the responses since the last call, by number of the request, without waiting."""
         return {
             response.header.identity.id: (response.header.status.code, response.data)
-            for response in self._responses.take_messages(_QUEUE)
+            for response in self._responses.take_messages(_QUEUE_DEPTH)
         }
 
     def call(self, call: int, parameter: Mapping[str, Any] | None = None, timeout: float = 3.0) -> str:
-        """Send a request and return the data of its response, waiting at most `timeout` [s] for it.
+        """Send a request, and return the data of its response; wait at most `timeout` [s].
 
         Raises:
-            SurefootError: no response, or one with an error.
+            SurefootError: no response, or an error code.
         """
         number = self.send(call, parameter)
         sent = started = time.monotonic()
@@ -127,6 +127,6 @@ class Client:
 
 
 def mode_name(data: str) -> str:
-    """Return the name of the active controller from the data of CHECK_MODE; empty: none is active."""
+    """Return the name of the active controller from the data of CHECK_MODE; "" if none is active."""
     name = parse_object(data).get("name", "")
     return name[:32] if isinstance(name, str) else ""

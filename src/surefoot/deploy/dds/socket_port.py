@@ -1,4 +1,4 @@
-"""One end of a connection between two processes of this computer, as a port that never blocks."""
+"""Non-blocking port at one end of a socket between two processes on this computer."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from surefoot.deploy.robot_link import LinkLostError
 from surefoot.errors import SurefootError
 
 GREETING = b"\0"
-"""What a robot that listens at a socket writes to a host that it accepts; between frames it means nothing."""
+"""Byte that a robot at a socket sends to a host that it accepts; it has no meaning between frames."""
 _CHUNK = 65_536
-_PATIENCE = 2.0
-"""Time [s] that a robot has to accept a host."""
+_ACCEPT_TIMEOUT = 2.0
+"""Maximum time for a robot to accept a host [s]."""
 
 
 class SocketPort:
-    """A stream socket. Once its other end has closed, it is readable for ever.
+    """Port over a stream socket. After the other end was closed, `select` always reports it as readable.
 
     Args:
         end: the socket.
-        name: what is at its other end, for errors.
+        name: name of the other end, for errors.
     """
 
     def __init__(self, end: socket.socket, name: str) -> None:
@@ -28,19 +28,19 @@ class SocketPort:
         end.setblocking(False)
 
     def fileno(self) -> int:
-        """Return the file descriptor, so that `select` takes the port."""
+        """Return the file descriptor, so that `select` accepts the port."""
         return self._socket.fileno()
 
     @property
     def is_open(self) -> bool:
-        """Whether this end was not closed."""
+        """Whether this end is open."""
         return self._socket.fileno() >= 0
 
     def read(self) -> bytes:
-        """Return the bytes that have arrived, maybe none; never waits.
+        """Return the bytes that have arrived, possibly none, without waiting.
 
         Raises:
-            LinkLostError: the other end has closed, and all that it wrote was read.
+            LinkLostError: the other end was closed, and all its data were read.
         """
         try:
             data = self._socket.recv(_CHUNK)
@@ -53,10 +53,10 @@ class SocketPort:
         return data
 
     def write(self, data: bytes) -> int:
-        """Write bytes; never waits. Return how many the socket took.
+        """Write bytes without waiting; return how many were accepted.
 
         Raises:
-            LinkLostError: the other end has closed.
+            LinkLostError: the other end was closed.
         """
         try:
             return self._socket.send(data, socket.MSG_NOSIGNAL)
@@ -66,7 +66,7 @@ class SocketPort:
             raise LinkLostError(f"{self._name} is gone: {error.strerror}") from error
 
     def wait(self, timeout: float) -> None:
-        """Wait until something can be read, at most `timeout` [s]."""
+        """Wait until data can be read, at most `timeout` [s]."""
         select.select([self._socket], [], [], max(timeout, 0.0))
 
     def close(self) -> None:
@@ -75,13 +75,13 @@ class SocketPort:
 
 
 def connect(path: str) -> SocketPort:
-    """Connect to a robot that listens at a Unix socket: an emulated one.
+    """Connect to an emulated robot at a Unix socket.
 
     Raises:
-        SurefootError: none listens there, or another program has it.
+        SurefootError: no robot listens there, or another program uses it.
     """
     end = socket.socket(socket.AF_UNIX)
-    end.settimeout(_PATIENCE)
+    end.settimeout(_ACCEPT_TIMEOUT)
     try:
         end.connect(path)
         accepted = end.recv(1) == GREETING
@@ -90,5 +90,5 @@ def connect(path: str) -> SocketPort:
         raise SurefootError(f"port {path}: can't be opened: {error.strerror or error}") from error
     if not accepted:
         end.close()
-        raise SurefootError(f"port {path}: another program has it; one operator at a time")
+        raise SurefootError(f"port {path}: another program uses it; only one operator at a time")
     return SocketPort(end, f"port {path}")

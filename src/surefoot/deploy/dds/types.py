@@ -1,8 +1,8 @@
-"""Types of a Go2's topics, as DDS must have them to match writers and readers of others.
+"""IDL types of a Go2's topics, which DDS needs to match other programs' writers and readers.
 
-Only their names and layouts matter: messages of 500 Hz are packed by `low_level`, whose records give the types of
-these. Names of fields are the vendor's (IDL files of unitree_sdk2). cyclonedds reads the annotations, so they must not
-be strings.
+Only their names and layouts matter: messages at 500 Hz are encoded by `low_level`, and their types are derived from its
+records. Field names are the vendor's (IDL files of unitree_sdk2). cyclonedds evaluates the annotations, so they must
+not be strings.
 """
 
 from dataclasses import dataclass, field
@@ -20,16 +20,16 @@ T = TypeVar("T")
 GO = "unitree_go.msg.dds_."
 API = "unitree_api.msg.dds_."
 GO_LOW_STATE = "unitree_go::msg::dds_::LowState_"
-"""Name of the type of rt/lowstate as DDS shows it."""
+"""Type name of rt/lowstate in DDS."""
 
 
 def _message(kind: T) -> T:
-    """Return a class as a type of DDS, final and with numbers in order, as the vendor's compiler makes them."""
+    """Make an IDL type of a class: final and with sequential field numbers, like the vendor's compiler."""
     return dataclass(annotations.final(annotations.autoid("sequential")(kind)))
 
 
 def _from_record(name: str, record: np.dtype) -> type[idl.IdlStruct]:
-    """Return the type whose fields are those of a record; records in it have had theirs made before."""
+    """Derive the IDL type of a numpy record; the types of nested records must be derived before."""
 
     def annotation(part: np.dtype):
         kind = _PARTS.get(part.base) or getattr(types, part.base.name)
@@ -44,7 +44,7 @@ def _from_record(name: str, record: np.dtype) -> type[idl.IdlStruct]:
 
 
 _PARTS = {}
-"""Types by their records."""
+"""IDL types by record."""
 IMUState = _from_record("IMUState", low_level.IMU)
 MotorState = _from_record("MotorState", low_level.MOTOR_STATE)
 BmsState = _from_record("BmsState", low_level.BMS_STATE)
@@ -56,7 +56,7 @@ LowCmd = _from_record("LowCmd", low_level.LOW_COMMAND)
 
 @_message
 class TimeSpec(idl.IdlStruct, typename=GO + "TimeSpec_"):
-    """A time."""
+    """Point in time."""
 
     sec: i32 = 0
     nanosec: u32 = 0
@@ -64,7 +64,7 @@ class TimeSpec(idl.IdlStruct, typename=GO + "TimeSpec_"):
 
 @_message
 class PathPoint(idl.IdlStruct, typename=GO + "PathPoint_"):
-    """A point of a path."""
+    """Point on a path."""
 
     t_from_start: f32 = 0.0
     x: f32 = 0.0
@@ -99,7 +99,7 @@ class SportModeState(idl.IdlStruct, typename=GO + "SportModeState_"):
 
 @_message
 class RequestIdentity(idl.IdlStruct, typename=API + "RequestIdentity_"):
-    """Number of a request, and of what it asks for."""
+    """Number of a request, and of its call."""
 
     id: i64 = 0
     api_id: i64 = 0
@@ -114,7 +114,7 @@ class RequestLease(idl.IdlStruct, typename=API + "RequestLease_"):
 
 @_message
 class RequestPolicy(idl.IdlStruct, typename=API + "RequestPolicy_"):
-    """How a request is treated."""
+    """Priority of a request, and whether it needs no response."""
 
     priority: i32 = 0
     noreply: bool = False
@@ -140,7 +140,7 @@ class Request(idl.IdlStruct, typename=API + "Request_"):
 
 @_message
 class ResponseStatus(idl.IdlStruct, typename=API + "ResponseStatus_"):
-    """Error code of a response; 0: none."""
+    """Error code of a response; 0: no error."""
 
     code: i32 = 0
 

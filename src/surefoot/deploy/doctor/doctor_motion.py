@@ -1,4 +1,4 @@
-"""Motions of the doctor: a robot is armed, moved, and disarmed or damped afterwards."""
+"""Motions of the doctor: arm a robot, move it, and disarm or damp it afterwards."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, skipped
+from surefoot.check_result import CheckResult, skip_checks
 from surefoot.deploy.doctor.rest_check import TimedState
 from surefoot.deploy.messages import Mode, State
 from surefoot.deploy.motion_runner import MotionRunner
@@ -19,43 +19,48 @@ from surefoot.stop_signals import StopSignals
 
 
 class MotionStoppedError(RuntimeError):
-    """A motion was stopped by the guard or the operator."""
+    """A motion was stopped by the safety guard or the operator."""
 
     def __init__(self, verdict: Verdict) -> None:
         super().__init__(verdict.text)
         self.verdict = verdict
 
     def results(self, names: tuple[str, ...], failed: CheckResult | None = None) -> list[CheckResult]:
-        """Return the results of the checks that the motion was for; `failed` in place of the verdict's text."""
+        """Return the results of the checks that needed the motion: the first failed, the others were skipped.
+
+        Args:
+            names: names of the checks.
+            failed: result of the first check. Defaults to a failure with the guard's message.
+        """
         if self.verdict.reason == "operator":
-            return skipped(names, "stopped by the operator", "run it again")
-        failed = failed or CheckResult(names[0], False, self.verdict.text, "mend that, and run the doctor again")
-        return [failed, *skipped(names[1:], "the motion was stopped")]
+            return skip_checks(names, "stopped by the operator", "run it again")
+        failed = failed or CheckResult(names[0], False, self.verdict.text, "fix this, and run the doctor again")
+        return [failed, *skip_checks(names[1:], "the motion was stopped")]
 
 
 class TrackingError(RuntimeError):
-    """A motor is too far from its target."""
+    """A motor deviates too far from its target."""
 
 
 def _may_sit(error: BaseException | None) -> bool:
-    """Return whether the robot may sit down and disarm: no error ended the motion, or a stop that allows it."""
+    """Return whether the robot may sit down and disarm: the motion ended without error, or with a verdict to sit."""
     return error is None or (isinstance(error, MotionStoppedError) and error.verdict.act is Act.SIT)
 
 
 class DoctorMotion(MotionRunner):
-    """A robot that is armed while this context is entered; afterwards it is disarmed, or damped if an error occurred.
+    """Context in which a robot is armed and moved; on exit it is disarmed, or damped after an error.
 
     Args:
-        link: to the robot, after its handshake.
-        robot: its description.
+        link: link to the robot, after the handshake.
+        robot: robot description.
         control_step: time between two commands [s].
-        operator: may stop it.
-        max_error: greatest difference of a motor's angle from its target [rad]; more damps all motors.
-        sits: whether it stands on the ground, and sits down before it is disarmed.
+        operator: signals by which the operator can stop the motion.
+        max_error: maximum deviation of a motor angle from its target [rad]; a larger one damps all motors.
+        sits: whether the robot stands on the ground, so that it sits down before it is disarmed.
 
     Raises:
-        SurefootError: on entering, if the robot does not arm; nothing has moved then.
-        MotionStoppedError: from any motion that the guard or the operator stopped.
+        SurefootError: on entry, if the robot does not arm; nothing has moved then.
+        MotionStoppedError: from any motion that is stopped by the safety guard or the operator.
     """
 
     def __init__(
@@ -70,13 +75,13 @@ class DoctorMotion(MotionRunner):
         super().__init__(link, robot, control_step, operator)
         self.max_error, self.sits = max_error, sits
         self.tracking_error: tuple[int, float] | None = None
-        """Motor whose error was too great, and its error [rad]."""
+        """Index and deviation [rad] of the motor that deviated too far; None if none did."""
         self.states: list[TimedState] = []
-        """All states since it was armed."""
+        """All states since the robot was armed."""
         self._first_command: int | None = None
 
     def __enter__(self) -> Self:
-        """Arm: the servos hold their present angles."""
+        """Arm the robot; the servos hold their current angles."""
         self.link.on_state = lambda state, sent, _: self.states.append(TimedState(sent, state))
         try:
             self.arm()
@@ -88,7 +93,7 @@ class DoctorMotion(MotionRunner):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Sit down, if the robot stands, and disarm; damp after an error."""
+        """Sit down if the robot stands, and disarm; damp the motors after an error."""
         damp = not _may_sit(error)
         try:
             if damp:
@@ -104,17 +109,17 @@ class DoctorMotion(MotionRunner):
                 self.release(damp)
 
     def hold(self, target: Array, duration: float) -> tuple[int, list[TimedState]]:
-        """Send motor angles (M,) [rad] at once and hold them for a duration [s].
+        """Step to motor angles (M,) [rad] and hold them for a duration [s].
 
         Returns:
-            number of the first command, and the states that came.
+            Number of the first command, and the states received since then.
         """
         self._first_command, first = None, len(self.states)
         self._raise_if_stopped(self.move("doctor", target, duration, start=target))
         return self._first_command or 0, self.states[first:]
 
     def go(self, target: Array, duration: float) -> None:
-        """Go smoothly to motor angles (M,) [rad] within a duration [s]."""
+        """Move smoothly to motor angles (M,) [rad] within a duration [s]."""
         self._raise_if_stopped(self.move("doctor", target, duration))
 
     def _raise_if_stopped(self, verdict: Verdict) -> None:
@@ -122,7 +127,7 @@ class DoctorMotion(MotionRunner):
             raise MotionStoppedError(verdict)
 
     def check_state(self, state: State) -> None:
-        """Raise `TrackingError` when a motor is too far from its target."""
+        """Raise `TrackingError` if a motor deviates too far from its target."""
         if self._first_command is None:
             self._first_command = self.link.next_number
         errors = state.motor_angle - self.target
@@ -130,6 +135,6 @@ class DoctorMotion(MotionRunner):
         if abs(errors[worst]) > self.max_error:
             self.tracking_error = worst, float(errors[worst])
             raise TrackingError(
-                f"{self.robot.motor_names[worst]} is {errors[worst]:+.2f} rad from where it was sent; "
-                f"at most {self.max_error:g}"
+                f"{self.robot.motor_names[worst]} is {errors[worst]:+.2f} rad from its target; at most "
+                f"{self.max_error:g}"
             )

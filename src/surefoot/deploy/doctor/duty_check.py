@@ -1,7 +1,7 @@
-"""Check of one motor without a servo: a small duty for a moment must turn it the right way, and no other one.
+"""Check of one motor without servo control: a short, small duty must turn only this motor, in the right direction.
 
-It comes before the doctor's other motions: a servo whose encoder has the wrong sign drives its motor away from the
-target, with all its strength.
+It precedes the doctor's other motions, because a servo with an encoder of the wrong sign drives its motor away from the
+target at full torque.
 """
 
 from __future__ import annotations
@@ -18,68 +18,69 @@ from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
 MAX_DUTY = 0.2
-"""Greatest duty that may be tried."""
-ENOUGH, TOO_FAR = 0.02, 0.3
-"""Least motion that shows a direction, and motion [rad] from which the motor gets no duty any more."""
-STILL = 0.002
-"""Motion [rad] within `_REST` of legs that hang still."""
-_PERIOD, _REST, _ATTEMPTS = 0.006, 0.3, 50
+"""Maximum duty of the check."""
+MIN_MOTION, MAX_MOTION = 0.02, 0.3
+"""Minimum motion that shows a direction, and motion above which the duty is switched off [rad]."""
+MAX_REST_MOTION = 0.002
+"""Maximum motion within `_REST_TIME` of legs that hang still [rad]."""
+_PERIOD, _REST_TIME, _ATTEMPTS = 0.006, 0.3, 50
 
 
 def try_duty(
     link: RobotLink, robot: RobotDescription, motor: int, duty: float, duration: float, operator: StopSignals
 ) -> CheckResult:
-    """Give one motor a duty, and judge what turned; all motors are damped afterwards.
+    """Apply a duty to one motor and check which motors turned; all motors are damped afterwards.
 
     Args:
-        link: to the robot, after its handshake; it hangs free.
-        robot: its description.
-        motor: number of the motor.
-        duty: -`MAX_DUTY` to `MAX_DUTY`; of joint actuators a share of the greatest torque.
-        duration: for how long at most [s].
-        operator: may stop it.
+        link: link to the robot, after the handshake; the robot must hang freely.
+        robot: robot description.
+        motor: index of the motor.
+        duty: -`MAX_DUTY` to `MAX_DUTY`; for joint actuators, a fraction of the maximum torque.
+        duration: maximum duration of the duty [s].
+        operator: signals by which the operator can stop the motion.
 
     Raises:
         SurefootError: the robot does not arm.
-        LinkLostError: the port is gone.
+        LinkLostError: the link is lost.
     """
     name = robot.motor_names[motor]
     runner = MotionRunner(link, robot, _PERIOD, operator, mode=Mode.PWM)
-    # Motors without a servo let the legs swing: they must hang still first.
+    # Without servo control the legs swing; wait until they hang still.
     for _ in range(_ATTEMPTS):
         start = runner.state.motor_angle.copy()
-        runner.ping_until(lambda: False, _REST)
-        if (np.abs(runner.state.motor_angle - start) < STILL).all():
+        runner.ping_until(lambda: False, _REST_TIME)
+        if (np.abs(runner.state.motor_angle - start) < MAX_REST_MOTION).all():
             break
     else:
         return CheckResult(name, False, "the motors do not come to rest", "let the legs hang still")
-    far = False
+    moved_enough = False
 
     def compute(k: int, state: State, missed: int) -> Array:
-        nonlocal far
-        far = far or abs(state.motor_angle[motor] - start[motor]) > TOO_FAR
+        nonlocal moved_enough
+        moved_enough = moved_enough or abs(state.motor_angle[motor] - start[motor]) > MAX_MOTION
         values = np.zeros(robot.num_motors)
-        values[motor] = 0.0 if far or k >= steps else duty
+        values[motor] = 0.0 if moved_enough or k >= steps else duty
         return values
 
     runner.arm()
     try:
-        steps = runner.loop.steps_of(duration)
-        verdict = runner.loop.follow(name, steps + runner.loop.steps_of(_REST), compute)
+        steps = runner.loop.num_steps(duration)
+        verdict = runner.loop.run_phase(name, steps + runner.loop.num_steps(_REST_TIME), compute)
     finally:
         runner.release(damp=True)
     if verdict.act is not Act.GO:
-        return CheckResult(name, False, verdict.text, "mend that, and try again")
+        return CheckResult(name, False, verdict.text, "fix this, and try again")
     moved = runner.state.motor_angle - start
-    own, most = float(moved[motor]), int(np.argmax(np.abs(moved)))
-    message = f"a duty of {duty:g} turned it by {own:.3f} rad"
-    if abs(moved[most]) >= ENOUGH and most != motor:
-        text = f"{message}, and {robot.motor_names[most]} by {moved[most]:.3f}"
-        return CheckResult(name, False, text, "exchange the two motors, or their encoders", own)
-    if abs(own) < ENOUGH:
-        rule = f"; at least {ENOUGH:g} is expected"
-        return CheckResult(name, False, f"{message}{rule}", "check the drive, the encoder, or give a greater duty", own)
-    if own * duty < 0:
-        remedy = "negate the drive or the encoder, not both; or two motors of the leg are exchanged"
-        return CheckResult(name, False, f"{message}: the wrong way", remedy, own)
-    return CheckResult(name, True, message, value=own)
+    motion, farthest = float(moved[motor]), int(np.argmax(np.abs(moved)))
+    message = f"a duty of {duty:g} turned it by {motion:.3f} rad"
+    if abs(moved[farthest]) >= MIN_MOTION and farthest != motor:
+        text = f"{message}, and {robot.motor_names[farthest]} by {moved[farthest]:.3f}"
+        return CheckResult(name, False, text, "swap the two motors, or their encoders", motion)
+    if abs(motion) < MIN_MOTION:
+        rule = f"; at least {MIN_MOTION:g} is expected"
+        remedy = "check the motor driver and the encoder, or use a larger duty"
+        return CheckResult(name, False, f"{message}{rule}", remedy, motion)
+    if motion * duty < 0:
+        remedy = "negate the sign of the motor driver or of the encoder, not both; or swap two motors of the leg"
+        return CheckResult(name, False, f"{message}: the wrong direction", remedy, motion)
+    return CheckResult(name, True, message, value=motion)

@@ -1,4 +1,4 @@
-"""Check of the link: round trips, losses, and adapters that hold frames back."""
+"""Check of the link: round trips, losses, and adapters that buffer frames."""
 
 from __future__ import annotations
 
@@ -7,50 +7,52 @@ from dataclasses import dataclass
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge, skipped
+from surefoot.check_result import CheckResult, pass_if, skip_checks
 from surefoot.deploy.robot_link import RobotLink
 
 PINGS, PING_PERIOD = 200, 0.005
-"""Pings, and the time [s] between two: short enough to see an adapter that gathers bytes for 16 ms."""
+"""Number of pings, and the time between two pings [s], which is short enough to detect an adapter that buffers bytes
+for 16 ms."""
 _ANSWER_TIME = 0.3
-"""Time after the last ping [s] within which answers count."""
+"""Time after the last ping within which answers are accepted [s]."""
 MAX_LOSS = 0.005
-"""Share of frames that may be lost or damaged: one of 200 pings."""
+"""Maximum fraction of frames that may be lost or damaged: one of 200 pings."""
 MAX_BURST = 2.5
-"""Answers in a burst, on average, from which something gathers them; one every `PING_PERIOD` comes alone."""
+"""Mean number of answers per burst above which the adapter buffers bytes; without buffering, answers arrive one by one,
+`PING_PERIOD` apart."""
 MAX_CLOCK_ERROR = 0.01
-"""Relative error of the robot's clock: crystals differ by .0001, a slow emulator by more."""
+"""Maximum relative error of the robot's clock: crystals differ by 0.0001, a slow emulator by more."""
 LATE_STEPS = 2
-"""Control steps within which 99 of 100 answers must come: a deployment damps the robot after three without one."""
-TIMED = ("link, bursts", "link, round trip", "robot's clock")
+"""Control steps within which 99 % of the answers must arrive; a deployment damps the robot after three without one."""
+TIMING_CHECKS = ("link, bursts", "link, round trip", "robot's clock")
 _BURST_TIME = 5e-4
-"""Frames that come within this time [s] of each other are a burst."""
+"""Frames that arrive within this time of each other belong to one burst [s]."""
 
 
 @dataclass(frozen=True)
-class LinkFigures:
-    """Results of pings. Times in s."""
+class LinkMetrics:
+    """Metrics of a link, measured with pings."""
 
     round_trips: Array
-    """From sending a ping to reading its answer, of the pings that were answered."""
+    """Time from sending a ping to reading its answer, for each answered ping [s]."""
     lost: int
-    """Pings without an answer."""
+    """Number of pings without an answer."""
     damaged: int
-    """Frames that were received damaged."""
+    """Number of damaged frames received."""
     missing: int
-    """Frames that the robot has numbered and that did not come."""
+    """Number of frames that the robot sent, according to their numbering, but that did not arrive."""
     unsent: int
-    """Frames that the port did not take."""
+    """Number of frames that the port did not accept."""
     burst: float
-    """Answers in a burst, on average."""
+    """Mean number of answers per burst."""
     gap: float
-    """Median time between two bursts."""
+    """Median time between two bursts [s]."""
     clock_rate: float
-    """Seconds on the robot's clock for one of this computer's."""
+    """Seconds on the robot's clock per second on this computer's clock."""
 
 
 def receive_until(link: RobotLink, end: float) -> None:
-    """Receive each frame when it comes, until a time [s] of this computer's clock."""
+    """Receive frames as they arrive, until a time [s] on this computer's clock."""
     clock = link.clock
     if link.lockstep:
         clock.wait_until(end)
@@ -61,11 +63,11 @@ def receive_until(link: RobotLink, end: float) -> None:
         link.update()
 
 
-def measure_link(link: RobotLink, pings: int) -> LinkFigures:
-    """Send pings, one every `PING_PERIOD`, and receive the answers.
+def measure_link(link: RobotLink, pings: int) -> LinkMetrics:
+    """Measure a link: send one ping every `PING_PERIOD` and receive the answers.
 
     Raises:
-        LinkLostError: the port is gone.
+        LinkLostError: the link is lost.
     """
     clock, statistics = link.clock, link.statistics
     link.update()
@@ -83,7 +85,7 @@ def measure_link(link: RobotLink, pings: int) -> LinkFigures:
     arrivals = np.array([arrival.time for arrival in answers.values()])
     after = (statistics.damaged, statistics.missing, statistics.unsent)
     damaged, missing, unsent = (last - first for first, last in zip(before, after, strict=True))
-    return LinkFigures(
+    return LinkMetrics(
         np.array([arrival.time - sent[token] for token, arrival in answers.items()]),
         pings - len(answers),
         damaged,
@@ -95,7 +97,7 @@ def measure_link(link: RobotLink, pings: int) -> LinkFigures:
 
 
 def measure_bursts(arrivals: Array) -> tuple[float, float]:
-    """Return the mean number of frames in a burst, and the median time [s] between two bursts."""
+    """Return the mean number of frames per burst, and the median time between two bursts [s]."""
     if len(arrivals) < 2:
         return float(len(arrivals)), 0.0
     first = np.r_[True, np.diff(arrivals) > _BURST_TIME]
@@ -104,10 +106,14 @@ def measure_bursts(arrivals: Array) -> tuple[float, float]:
 
 
 def clock_rate(sent: Array, received: Array) -> float:
-    """Return the seconds on the robot's clock for one of this computer's, from times of frames on both.
+    """Return the seconds on the robot's clock per second on this computer's clock.
 
-    The quickest frames of the first and of the last third are compared, so that frames that were held back do not
-    count.
+    The frames with the shortest delay in the first and in the last third are compared, so that delayed frames do not
+    matter.
+
+    Args:
+        sent: time at which each frame was sent, on the robot's clock [s].
+        received: time at which each frame was received, on this computer's clock [s].
     """
     third = len(received) // 3
     if third < 1:
@@ -117,59 +123,58 @@ def clock_rate(sent: Array, received: Array) -> float:
     return float((sent[last] - sent[first]) / (received[last] - received[first]))
 
 
-def check_link(figures: LinkFigures, lead: float, control_step: float, lockstep: bool) -> list[CheckResult]:
-    """Judge the figures of a link.
+def check_link(metrics: LinkMetrics, lead: float, control_step: float, lockstep: bool) -> list[CheckResult]:
+    """Check the metrics of a link.
 
     Args:
-        figures: of `measure_link`.
-        lead: how long before a control step the robot sends its state [s].
-        control_step: of the policy [s].
-        lockstep: the robot follows this computer's clock, so that frames take no time.
+        metrics: result of `measure_link`.
+        lead: time by which the robot sends its state before a control step [s].
+        control_step: control step of the policy [s].
+        lockstep: whether the robot follows this computer's clock, so that frames take no time.
     """
-    trips, pings = figures.round_trips, figures.lost + len(figures.round_trips)
-    counts = (figures.lost, figures.damaged, figures.missing, figures.unsent)
-    losses = judge(
+    trips, pings = metrics.round_trips, metrics.lost + len(metrics.round_trips)
+    counts = (metrics.lost, metrics.damaged, metrics.missing, metrics.unsent)
+    losses = pass_if(
         "link, losses",
         max(counts) <= MAX_LOSS * pings,
         "{} of {} pings lost, {} frames damaged, {} missing, {} not sent".format(counts[0], pings, *counts[1:]),
-        f"; at most {MAX_LOSS:.1%} may be",
-        "check the plug, a shorter or shielded cable, the same baud rate on both sides, and the robot's ground",
-        figures.lost / pings,
+        f"; at most {MAX_LOSS:.1%} are allowed",
+        "check the plug, the baud rate on both sides, and the robot's ground; use a shorter or shielded cable",
+        metrics.lost / pings,
     )
     if lockstep:
-        return [losses, *skipped(TIMED, "in lockstep frames take no time", "run without --lockstep")]
+        return [losses, *skip_checks(TIMING_CHECKS, "in lockstep frames take no time", "run without --lockstep")]
     if not len(trips):
-        return [losses, *skipped(TIMED, "no ping was answered")]
+        return [losses, *skip_checks(TIMING_CHECKS, "no ping was answered")]
     median, late = map(float, np.percentile(trips, (50, 99)))
-    clock_error = figures.clock_rate - 1
+    clock_error = metrics.clock_rate - 1
     return [
         losses,
-        judge(
+        pass_if(
             "link, bursts",
-            figures.burst < MAX_BURST,
-            f"{figures.burst:.1f} answers together on average, every {1e3 * figures.gap:.1f} ms",
-            f"; answers to pings {1e3 * PING_PERIOD:g} ms apart must come alone: the USB adapter gathers bytes "
-            "(its latency timer, 16 ms by default)",
+            metrics.burst < MAX_BURST,
+            f"{metrics.burst:.1f} answers together on average, every {1e3 * metrics.gap:.1f} ms",
+            f"; answers to pings {1e3 * PING_PERIOD:g} ms apart must arrive one by one: the USB adapter buffers bytes "
+            "(its latency timer is 16 ms by default)",
             "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer, or setserial /dev/ttyUSB0 "
-            "low_latency (with your port's name); some adapters can't do it: take another",
-            figures.burst,
+            "low_latency (with your port's name); if your adapter can't do this, use another one",
+            metrics.burst,
         ),
-        judge(
+        pass_if(
             "link, round trip",
             median <= lead and late <= LATE_STEPS * control_step,
             f"median {1e3 * median:.2f} ms, 99th percentile {1e3 * late:.2f} ms, jitter {1e3 * np.std(trips):.2f} ms",
-            f"; the median must be within {1e3 * lead:g} ms, the time a state has to come, and the 99th percentile "
-            f"within {LATE_STEPS} control steps, {1e3 * LATE_STEPS * control_step:g} ms",
+            f"; the median must be within {1e3 * lead:g} ms, the time by which states are sent ahead, and the 99th "
+            f"percentile within {LATE_STEPS} control steps, {1e3 * LATE_STEPS * control_step:g} ms",
             "close other programs, use a direct USB port, and set the adapter's latency timer to 1 ms",
             median,
         ),
-        judge(
+        pass_if(
             "robot's clock",
             abs(clock_error) <= MAX_CLOCK_ERROR,
             f"runs {abs(clock_error):.2%} too {'fast' if clock_error > 0 else 'slow'}",
-            f"; at most {MAX_CLOCK_ERROR:.0%} may be",
-            "check the microcontroller's crystal and clock settings; an emulator that is slow needs a computer with "
-            "less to do",
-            figures.clock_rate,
+            f"; at most {MAX_CLOCK_ERROR:.0%} is allowed",
+            "check the microcontroller's crystal and clock settings; a slow emulator needs a less busy computer",
+            metrics.clock_rate,
         ),
     ]

@@ -1,4 +1,4 @@
-"""Step response of a motor behind its servo: delay, rise time, and how well two poles describe it."""
+"""Step response of a motor with its servo: delay and rise time, from a fit of a second-order model."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 
 WINDOW = 0.15
-"""Time after a step [s] whose readings are kept."""
-_FITTED_SHARE = 0.5
-"""Share of the step up to which readings are fitted: later on the leg's other motor gives way, and its loop bends the
-response in a way that no two poles follow; fits of all readings were up to 6 ms off, these 1."""
+"""Time after a step whose readings are used [s]."""
+_FITTED_FRACTION = 0.5
+"""Fraction of the step up to which readings are fitted. Later, the leg's other motor yields, and the closed loop of the
+leg distorts the response beyond a second-order model: fits of all readings had errors up to 6 ms, these 1 ms."""
 _DELAYS = np.arange(0.0, 0.1, 0.001)
 _FREQUENCIES = np.geomspace(15.0, 400.0, 28)
 _DAMPINGS = np.array([0.3, 0.45, 0.6, 0.8, 1.05, 1.3, 1.8, 2.6, 4.0])
@@ -21,71 +21,71 @@ _DAMPINGS = np.array([0.3, 0.45, 0.6, 0.8, 1.05, 1.3, 1.8, 2.6, 4.0])
 
 @dataclass(frozen=True)
 class StepResponse:
-    """A step response of second order with a delay."""
+    """Second-order step response with a delay."""
 
     delay: float
-    """From the command's arrival at the robot to the first motion in the readings, when they are sent [s]."""
+    """Time from the command's arrival at the robot to the first motion in the readings, at the time of sending [s]."""
     rise: float
-    """From the first motion to 63 % of the step [s]."""
+    """Time from the first motion to 63 % of the step [s]."""
     error: float
     """Root mean square of the residuals, for a step of 1."""
 
 
-def fit_response(age: Array, share: Array) -> StepResponse:
-    """Fit readings of a motor after a step of its target.
+def fit_response(age: Array, progress: Array) -> StepResponse:
+    """Fit a second-order model to the readings of a motor after a step of its target.
 
         y(t) = gain (1 + (p2 exp(p1 t) - p1 exp(p2 t)) / (p1 - p2)),  t = max(age - delay, 0)
 
-    with the poles p = w (-z +- sqrt(z^2 - 1)): the servo's proportional and derivative gain on the inertia of a leg.
+    with the poles p = w (-z +- sqrt(z^2 - 1)): a PD servo that drives the inertia of a leg.
 
     Args:
-        age: of each reading: time from the command's arrival until it was sent, on the robot's clock (n,) [s].
-        share: share of the step that the motor had moved by then (n,).
+        age: time from the command's arrival to the sending of each reading, on the robot's clock (n,) [s].
+        progress: fraction of the step that the motor had moved at each reading (n,).
     """
     order = np.argsort(age, kind="stable")
-    age, share = age[order], share[order]
-    early = np.flatnonzero(share > _FITTED_SHARE)
+    age, progress = age[order], progress[order]
+    early = np.flatnonzero(progress > _FITTED_FRACTION)
     fitted = age <= (age[early[0]] if len(early) else WINDOW)
-    points = age[fitted], share[fitted]
+    points = age[fitted], progress[fitted]
     best, frequency, damping = _search_grid(*points, _DELAYS, _FREQUENCIES, _DAMPINGS)
     for width, spread in ((2e-3, 1.3), (5e-4, 1.1)):
         delays = best.delay + np.linspace(-width, width, 21)
         factors = np.geomspace(1 / spread, spread, 9)
         best, frequency, damping = _search_grid(*points, delays[delays >= 0], frequency * factors, damping * factors)
-    return replace(best, rise=_crossing(age, share, 1 - np.exp(-1)) - best.delay)
+    return replace(best, rise=_crossing_time(age, progress, 1 - np.exp(-1)) - best.delay)
 
 
 def _search_grid(
-    age: Array, share: Array, delays: Array, frequencies: Array, dampings: Array
+    age: Array, progress: Array, delays: Array, frequencies: Array, dampings: Array
 ) -> tuple[StepResponse, float, float]:
-    """Return the best response of a grid, with its frequency [rad/s] and damping ratio."""
+    """Return the best response of a grid search, with its frequency [rad/s] and damping ratio."""
     damping, frequency = (axis.ravel() for axis in np.meshgrid(dampings, frequencies))
-    # At a damping ratio of 1 both poles are the same, and the response would divide by 0.
+    # At a damping ratio of 1 both poles are equal, and the response would divide by zero.
     root = np.sqrt((damping + 1e-6 * (damping == 1)).astype(complex) ** 2 - 1)
     poles = frequency * (root - damping), frequency * (-root - damping)
-    least, best, index = np.inf, StepResponse(0.0, WINDOW, np.inf), 0
+    min_error, best, index = np.inf, StepResponse(0.0, WINDOW, np.inf), 0
     for delay in delays:
         unit = _unit_responses(*poles, np.maximum(age - delay, 0.0))
-        gain = (unit @ share) / np.maximum((unit * unit).sum(axis=1), 1e-12)
-        error = ((gain[:, None] * unit - share) ** 2).sum(axis=1)
-        if error.min() < least:
-            index, least = int(np.argmin(error)), float(error.min())
-            best = StepResponse(float(delay), WINDOW, float(np.sqrt(least / max(len(age), 1))))
+        gain = (unit @ progress) / np.maximum((unit * unit).sum(axis=1), 1e-12)
+        error = ((gain[:, None] * unit - progress) ** 2).sum(axis=1)
+        if error.min() < min_error:
+            index, min_error = int(np.argmin(error)), float(error.min())
+            best = StepResponse(float(delay), WINDOW, float(np.sqrt(min_error / max(len(age), 1))))
     return best, float(frequency[index]), float(damping[index])
 
 
-def _unit_responses(one: NDArray[np.complex128], other: NDArray[np.complex128], time: Array) -> Array:
-    """Return the unit step responses (K, n) of K pairs of poles."""
-    p, q = one[:, None], other[:, None]
+def _unit_responses(first: NDArray[np.complex128], second: NDArray[np.complex128], time: Array) -> Array:
+    """Return the unit step responses (K, n) of K pairs of poles at times (n,) [s]."""
+    p, q = first[:, None], second[:, None]
     response: Array = np.real(1 + (q * np.exp(p * time) - p * np.exp(q * time)) / (p - q))
     return response
 
 
-def _crossing(age: Array, share: Array, level: float) -> float:
-    """Return when readings first pass a level [s], interpolated linearly; `WINDOW`, if never."""
-    above = np.flatnonzero(share >= level)
+def _crossing_time(age: Array, progress: Array, level: float) -> float:
+    """Return the time at which readings first reach a level [s], interpolated linearly; `WINDOW` if they never do."""
+    above = np.flatnonzero(progress >= level)
     if not len(above) or above[0] == 0:
         return WINDOW
     after = int(above[0])
-    part = (level - share[after - 1]) / (share[after] - share[after - 1])
-    return float(age[after - 1] + part * (age[after] - age[after - 1]))
+    fraction = (level - progress[after - 1]) / (progress[after] - progress[after - 1])
+    return float(age[after - 1] + fraction * (age[after] - age[after - 1]))

@@ -1,7 +1,7 @@
-"""Check of the IMU of a robot on flat ground: it stands up and tilts itself with its legs.
+"""Check of the IMU of a robot on flat ground, which stands up and tilts its body with its legs.
 
-Frames: x forward, y left, z up. Shorter front legs put the nose down, a turn about +y: pitch grows. Shorter left legs
-put the left side down, a turn about -x: roll falls.
+Frame: x forward, y left, z up. Shorter front legs put the nose down, a rotation about +y, so pitch increases. Shorter
+left legs put the left side down, a rotation about -x, so roll decreases.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from surefoot.arrays import Array
-from surefoot.check_result import CheckResult, judge, skipped
+from surefoot.check_result import CheckResult, pass_if, skip_checks
 from surefoot.deploy.doctor.doctor_motion import DoctorMotion, MotionStoppedError
 from surefoot.deploy.doctor.rest_check import TimedState
 from surefoot.deploy.robot_link import RobotLink
@@ -22,31 +22,32 @@ from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
-RISE, SETTLE, TILT_TIME = 1.5, 0.6, 0.8
-"""Time [s] to stand up, to settle, and to go into a tilt."""
+RISE_TIME, SETTLE_TIME, TILT_TIME = 1.5, 0.6, 0.8
+"""Time to stand up, to settle, and to move into a tilt [s]."""
 MAX_ERROR = 0.8
-"""Greatest difference of a motor's angle from its target [rad]: legs that carry the robot give way by some .2 rad."""
+"""Maximum deviation of a motor from its target [rad]; legs that carry the robot yield by some 0.2 rad."""
 MIN_TILT = 0.03
-"""Least tilt [rad]; half of what the legs give, or less."""
-MAX_OTHER = 0.5
-"""Greatest turn about the other axis, as a share of the tilt."""
-RATE_SHARE, RATE_TOLERANCE = 0.3, 0.015
-"""Greatest difference of the gyro's integral from the change of the angle: as a share, and [rad]."""
+"""Minimum measured tilt [rad], at most half of the commanded tilt."""
+MAX_CROSS_RATIO = 0.5
+"""Maximum rotation about the other axis, relative to the tilt."""
+RELATIVE_TOLERANCE, RATE_TOLERANCE = 0.3, 0.015
+"""Maximum difference between the integral of the gyro and the change of the angle: relative, and absolute [rad]."""
 _SETTLED = 25
+"""Number of states before and after a tilt that are averaged."""
 NAMES = ("IMU, nose down", "IMU, left side down", "IMU, rates")
 AXES = ("roll", "pitch")
 SIDES = ("front", "left")
-"""What the names of the legs on these sides contain."""
+"""Words that the names of the legs on these sides contain."""
 
 
 @dataclass(frozen=True)
 class TiltReading:
-    """Readings of the IMU in one tilt."""
+    """IMU readings of one tilt."""
 
     angles: Array
     """Change of roll and pitch (2,) [rad]."""
-    turned: Array
-    """Integral of the rates about x and y without the gyro's bias (2,) [rad]."""
+    integrated: Array
+    """Integral of the rates about x and y, corrected for gyro bias (2,) [rad]."""
 
 
 def tilt_robot(
@@ -56,35 +57,35 @@ def tilt_robot(
     operator: StopSignals,
     at_rest: Sequence[TimedState],
 ) -> list[CheckResult]:
-    """Let a robot stand up, tilt itself to the front and to the left, sit down and disarm, and judge its IMU.
+    """Make a robot stand up, tilt to the front and to the left, sit down and disarm, and check its IMU.
 
     Args:
-        link: to a robot that sits on flat ground.
-        contract: has the standing pose.
-        robot: its description.
-        operator: may stop it.
+        link: link to a robot that sits on flat ground.
+        contract: contract of the policy, with the standing pose.
+        robot: robot description.
+        operator: signals by which the operator can stop the motion.
         at_rest: states of the robot at rest, for the bias of its gyro.
 
     Raises:
         SurefootError: the robot does not arm.
-        LinkLostError: the port is gone.
+        LinkLostError: the link is lost.
     """
     if not all(0 < sum(side in leg for leg in robot.leg_names) < len(robot.legs) for side in SIDES):
-        message = f"the names of the legs ({choices(robot.leg_names)}) do not say which stand in front and which left"
-        return skipped(NAMES, message, "name them so in the data sheet")
+        message = f"the names of the legs ({choices(robot.leg_names)}) do not contain {' and '.join(SIDES)}"
+        return skip_checks(NAMES, message, "use such names in the data sheet, for example front_left")
     gyro_bias = np.mean([timed.state.angular_velocity_base for timed in at_rest], axis=0)
     stand = robot.pose_angles(*contract.rest)
     motion = DoctorMotion(link, robot, contract.control_step, operator, MAX_ERROR, sits=True)
     try:
         with motion:
-            motion.go(stand, RISE)
+            motion.go(stand, RISE_TIME)
             tilts = []
             for side in SIDES:
-                motion.hold(stand, SETTLE)
+                motion.hold(stand, SETTLE_TIME)
                 first = len(motion.states) - _SETTLED
                 tilted = _tilted_angles(robot, contract.rest, side)
                 motion.go(tilted, TILT_TIME)
-                motion.hold(tilted, SETTLE)
+                motion.hold(tilted, SETTLE_TIME)
                 tilts.append(read_tilt(motion.states[first:], gyro_bias))
                 motion.go(stand, TILT_TIME)
     except MotionStoppedError as stopped:
@@ -93,7 +94,7 @@ def tilt_robot(
 
 
 def _tilted_angles(robot: RobotDescription, stand: Sequence[ArrayLike], side: str) -> Array:
-    """Return the motor angles (M,) [rad] with shorter legs on one side and longer ones on the other."""
+    """Return the motor angles (M,) [rad] with shorter legs on one side and longer legs on the other side."""
     settings = robot.experiments
     *lateral, extension = (np.asarray(part, float) for part in stand)
     low, high = robot.leg_space["extension"]
@@ -103,7 +104,7 @@ def _tilted_angles(robot: RobotDescription, stand: Sequence[ArrayLike], side: st
 
 
 def read_tilt(timed_states: Sequence[TimedState], gyro_bias: Array) -> TiltReading:
-    """Return the IMU's readings of a tilt; the robot is still in the first and the last states."""
+    """Return the IMU readings of a tilt; the robot must be still in the first and last states."""
     angles = np.array([timed.state.roll_pitch_yaw[:2] for timed in timed_states])
     rates = np.array([timed.state.angular_velocity_base[:2] for timed in timed_states]) - gyro_bias[:2]
     times = np.array([timed.time for timed in timed_states])
@@ -112,20 +113,20 @@ def read_tilt(timed_states: Sequence[TimedState], gyro_bias: Array) -> TiltReadi
 
 
 def check_tilts(front: TiltReading, left: TiltReading) -> list[CheckResult]:
-    """Judge the IMU by its readings when the nose, and when the left side, went down."""
+    """Check the IMU by its readings of a tilt with the nose down and a tilt with the left side down."""
     rates, agree = [], True
     for axis, reading in ((1, front), (0, left)):
-        angle, turned = float(reading.angles[axis]), float(reading.turned[axis])
-        rates.append(f"{AXES[axis]} changed by {angle:+.3f} rad, its rate says {turned:+.3f}")
-        agree &= abs(turned - angle) <= max(RATE_SHARE * abs(angle), RATE_TOLERANCE)
+        angle, integrated = float(reading.angles[axis]), float(reading.integrated[axis])
+        rates.append(f"{AXES[axis]} changed by {angle:+.3f} rad, its rate integrates to {integrated:+.3f}")
+        agree &= abs(integrated - angle) <= max(RELATIVE_TOLERANCE * abs(angle), RATE_TOLERANCE)
     return [
         _check_tilt(NAMES[0], "front legs shorter", front.angles, 1, 1.0),
         _check_tilt(NAMES[1], "left legs shorter", left.angles, 0, -1.0),
-        judge(
+        pass_if(
             NAMES[2],
             agree,
             "; ".join(rates),
-            f"; they must agree within {RATE_SHARE:.0%}",
+            f"; they must agree within {RELATIVE_TOLERANCE:.0%}",
             "check axes, signs and units (rad/s) of the gyro in the firmware",
         ),
     ]
@@ -133,23 +134,27 @@ def check_tilts(front: TiltReading, left: TiltReading) -> list[CheckResult]:
 
 def _check_tilt(name: str, condition: str, angles: Array, axis: int, sign: float) -> CheckResult:
     main, other = float(angles[axis]), float(angles[1 - axis])
-    if abs(other) >= MIN_TILT and abs(main) <= MAX_OTHER * abs(other):
+    if abs(other) >= MIN_TILT and abs(main) <= MAX_CROSS_RATIO * abs(other):
         remedy = (
-            "the IMU's x and y are exchanged, or legs are: set its mounting in the firmware, and check the legs' cables"
+            "x and y of the IMU are swapped, or legs are: set the IMU's mounting in the firmware, and check the cables "
+            "of the legs"
         )
     elif sign * main <= -MIN_TILT:
         remedy = (
-            f"the IMU's {AXES[axis]} is mirrored, or the legs of both sides are exchanged: check mounting and cables"
+            f"{AXES[axis]} of the IMU has the wrong sign, or the legs of both sides are swapped: check mounting and "
+            "cables"
         )
     else:
         remedy = (
-            "the legs did not tilt the robot: check the ground, the legs' cables, and that the IMU is fixed to the body"
+            "the legs did not tilt the robot: check the ground, the cables of the legs, and that the IMU is fixed to "
+            "the body"
         )
-    return judge(
+    return pass_if(
         name,
-        sign * main >= MIN_TILT and abs(other) <= MAX_OTHER * abs(main),
+        sign * main >= MIN_TILT and abs(other) <= MAX_CROSS_RATIO * abs(main),
         f"{condition}: {AXES[axis]} {main:+.3f}, {AXES[1 - axis]} {other:+.3f} rad",
-        f"; {AXES[axis]} must {'grow' if sign > 0 else 'fall'} by {MIN_TILT:g} rad or more, {AXES[1 - axis]} stay",
+        f"; {AXES[axis]} must {'increase' if sign > 0 else 'decrease'} by at least {MIN_TILT:g} rad, and "
+        f"{AXES[1 - axis]} must not change",
         remedy,
         main,
     )

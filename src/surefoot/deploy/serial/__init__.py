@@ -1,1 +1,1 @@
-"""The wire protocol: messages, frames, and what is generated from them: the C header."""
+"""Wire protocol on a serial line: encoding of messages, frames, and the generated C header."""

@@ -1,9 +1,9 @@
-"""The wire protocol as a C header, for a robot's firmware.
+"""Generator of the wire protocol as a C header, for the firmware of a robot.
 
     python -m surefoot.deploy.serial.c_header --motors 8 --out docs/surefoot_wire.h
 
-C99 that needs the standard library's headers alone and allocates nothing. Structs and constants are made from the
-messages; template.h has the functions, which encode frames and find them in a stream.
+The header is C99, needs only headers of the standard library and allocates nothing. Structs and constants are generated
+from the messages; the functions that encode and decode frames are in template.h.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ _TYPES = {
 
 
 def c_header(motors: int = DEFAULT_MOTORS) -> str:
-    """Return the whole header, for robots of so many motors.
+    """Return the header for robots with `motors` motors.
 
     Raises:
-        SurefootError: none, or more than fit a frame.
+        SurefootError: no motors, or more than fit into a frame.
     """
     codec = Codec(motors)
     largest = max(MESSAGES, key=codec.size)
     types = [(_c_name(kind).upper(), NUMBERS[kind], "") for kind in MESSAGES]
-    enums = [_enum("surefoot_type", "What a payload is.", types), *map(_described_enum, (Mode, Reason))]
+    enums = [_enum("surefoot_type", "Type of a payload.", types), *map(_described_enum, (Mode, Reason))]
     sizes = [("float", 4), ("surefoot_header", HEADER.size), *((_c_name(kind), codec.size(kind)) for kind in MESSAGES)]
     return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
         version=VERSION,
@@ -58,7 +58,7 @@ def c_header(motors: int = DEFAULT_MOTORS) -> str:
 
 
 def unit_of_number(spec: FieldEncoding) -> str:
-    """Return the unit of a field's number on the line, such as 1e-6 s; empty for pure numbers and texts."""
+    """Return the unit of a field's encoded number, such as 1e-6 s, or "" for dimensionless numbers and texts."""
     unit = "" if spec.unit == "1" else spec.unit
     scale = f"{spec.scale:g} ".replace("e-0", "e-") if spec.scale not in (0, 1) else ""
     return f"{scale}{unit}"
@@ -103,7 +103,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     summary = (__doc__ or "").splitlines()[0]
     parser = argparse.ArgumentParser(prog="python -m surefoot.deploy.serial.c_header", description=summary)
     parser.add_argument("--motors", type=int, default=DEFAULT_MOTORS, help="number of motors")
-    parser.add_argument("--out", type=Path, help="file to write; printed, if not given")
+    parser.add_argument("--out", type=Path, help="file to write; defaults to standard output")
     options = parser.parse_args(argv)
     try:
         text = c_header(options.motors)

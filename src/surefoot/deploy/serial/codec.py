@@ -1,4 +1,7 @@
-"""Messages as little-endian packed structs. docs/wire-protocol.md specifies them; tests compare it with `SCHEMA`."""
+"""Encoding of messages as packed little-endian structs, as docs/wire-protocol.md specifies them.
+
+Tests compare that page with `SCHEMA`.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +15,11 @@ from surefoot.deploy.serial.fields import MOTORS, FieldEncoding, MessageLayout
 from surefoot.errors import SurefootError
 
 VERSION = 1
-"""Version of the framing and the header."""
+"""Version of framing and header."""
 HEADER = struct.Struct("<BBIIQ")
 """Version, type, schema hash, sequence number, time [us]."""
 MAX_PAYLOAD = 997
-"""Bytes of a message that still fit a frame; see `frames.MAX_FRAME`."""
+"""Maximum size of a message in a frame [bytes]; see `frames.MAX_FRAME`."""
 _U8, _U16, _U32, _F32 = FieldEncoding("u8"), FieldEncoding("u16"), FieldEncoding("u32"), FieldEncoding("f32")
 _TIME = FieldEncoding("u32", scale=1e-6)
 _MOTORS, _VECTOR = FieldEncoding("f32", MOTORS), FieldEncoding("f32", 3)
@@ -63,7 +66,9 @@ SCHEMA: dict[type[Message], tuple[int, dict[str, FieldEncoding]]] = {
             "dropped": _U16,
             "motor_angle": _MOTORS,
             "motor_velocity": _MOTORS,
-            "motor_torque": FieldEncoding("i16", MOTORS, scale=5e-3),  # to 163 N m; sensors are noisier than a step
+            "motor_torque": FieldEncoding(
+                "i16", MOTORS, scale=5e-3
+            ),  # up to 163 N m; the resolution is finer than sensor noise
             "roll_pitch_yaw": _VECTOR,
             "angular_velocity_base": _VECTOR,
             "energy": _F32,
@@ -73,26 +78,26 @@ SCHEMA: dict[type[Message], tuple[int, dict[str, FieldEncoding]]] = {
     ),
     messages.Fault: (68, {"session": _U16, "reason": _U8, "text": FieldEncoding("text", length=80, cut=True)}),
 }
-"""Number of each kind of message, and how its fields stand in a frame."""
+"""Number of each message type, and the encoding of its fields."""
 MESSAGES = tuple(SCHEMA)
 NUMBERS = {kind: number for kind, (number, _) in SCHEMA.items()}
 
 
 def encodings(kind: type[Message]) -> dict[str, FieldEncoding]:
-    """Return the encoding of each field of a message, with its unit and meaning."""
+    """Return the encoding of each field of a message type, with its unit and meaning."""
     _, encodings = SCHEMA[kind]
     return {item.name: replace(encodings[item.name], **item.metadata) for item in fields(kind)}  # type: ignore[arg-type]
 
 
 class Codec:
-    """Messages to payloads and back, for robots of so many motors.
+    """Encodes messages as payloads and decodes them, for robots with a fixed number of motors.
 
     Args:
         motors: number of motors.
-        text_errors: what becomes of a text that is not UTF-8; "strict": its message is unknown.
+        text_errors: error handler for texts that are not UTF-8; with "strict" their message counts as unknown.
 
     Raises:
-        SurefootError: no motors, or more than fit a frame.
+        SurefootError: no motors, or more than fit into a frame.
     """
 
     def __init__(self, motors: int, text_errors: str = "strict") -> None:
@@ -104,10 +109,10 @@ class Codec:
             raise SurefootError(f"motors is {motors}; it must be 1 or more, and messages at most {MAX_PAYLOAD} bytes")
         digest = hashlib.sha256(self.describe().encode()).digest()
         self.schema = int.from_bytes(digest[:4], "little")
-        """First four bytes of the SHA-256 of `describe`, little-endian."""
+        """Schema hash: first four bytes of the SHA-256 of `describe`, little-endian."""
 
     def describe(self) -> str:
-        """Return all messages in canonical form: a line for each message, and one for each of its fields."""
+        """Return the schema in canonical form: one line per message, and one per field."""
         lines = [f"surefoot {VERSION} motors {self.motors}"]
         for kind, layout in self.layouts.items():
             lines.append(f"{NUMBERS[kind]} {kind.__name__}")
@@ -118,19 +123,19 @@ class Codec:
         return "\n".join(lines) + "\n"
 
     def size(self, kind: type[Message]) -> int:
-        """Return the number of bytes of a message's payload."""
+        """Return the size of a message's payload [bytes]."""
         return self.layouts[kind].struct.size
 
     def pack(self, message: Message) -> bytes:
         """Return the payload of a message.
 
         Raises:
-            ValueError: an array of another length, a text too long, or a whole number that does not fit.
+            ValueError: an array with a wrong length, a text that is too long, or an integer out of range.
         """
         return self.layouts[type(message)].pack(message)
 
     def unpack(self, number: int, payload: bytes) -> Message | None:
-        """Return the message of a payload; None for an unknown kind, another length, or bytes that are no text."""
+        """Return the message of a payload, or None for an unknown type, a wrong length, or text that is not UTF-8."""
         try:
             message: Message = self.layouts[self.kinds[number]].unpack(payload, self._text_errors)
         except (KeyError, ValueError):

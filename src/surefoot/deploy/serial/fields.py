@@ -1,4 +1,4 @@
-"""Fields of a message as bytes."""
+"""Encoding of message fields as bytes."""
 
 from __future__ import annotations
 
@@ -11,49 +11,49 @@ from typing import Any
 import numpy as np
 
 MOTORS = -1
-"""Count of a field that has one entry a motor."""
+"""Count of a field with one entry per motor."""
 CODES = {"u8": "B", "i8": "b", "u16": "H", "i16": "h", "u32": "I", "f32": "f"}
-"""Kinds of numbers, and their codes in `struct`."""
+"""Number types and their format codes in `struct`."""
 _LIMITS = {"u8": (0, 2**8 - 1), "i16": (-(2**15), 2**15 - 1), "u16": (0, 2**16 - 1), "u32": (0, 2**32 - 1)}
 _TOO_LARGE = (2 - 2**-24) * 2.0**127
-"""Least number that an f32 rounds to infinity."""
+"""Smallest number that is rounded to infinity as an f32."""
 
 
 @dataclass(frozen=True)
 class FieldEncoding:
-    """How a field stands in a frame."""
+    """Encoding of a message field."""
 
     kind: str
-    """One of `CODES` (f32 is IEEE 754), or text (UTF-8, ends at the first zero byte or at its full length)."""
+    """Type: one of `CODES` (f32 is IEEE 754), or text (UTF-8, ends at the first zero byte or at its full length)."""
     count: int = 1
-    """Number of entries; `MOTORS` for one a motor."""
+    """Number of entries; `MOTORS` for one per motor."""
     scale: float = 0.0
-    """Value = scale * number on the wire; 0: the number itself. One over a whole number."""
+    """Scale: value = scale * encoded number; the reciprocal of an integer, or 0 for no scale."""
     length: int = 0
-    """Bytes of a text."""
+    """Size of a text [bytes]."""
     cut: bool = False
-    """Whether the end of a text that is too long is cut off; otherwise the text is refused."""
+    """Whether a text that is too long is truncated; otherwise it is rejected."""
     unit: str = ""
     meaning: str = ""
     """SI unit and meaning of the value, from the message's dataclass."""
 
     def entries(self, motors: int) -> int:
-        """Return the number of entries for a robot of so many motors."""
+        """Return the number of entries for a robot with `motors` motors."""
         return motors if self.count == MOTORS else self.count
 
     def format(self, motors: int) -> str:
-        """Return the field's format of `struct`."""
+        """Return the format of the field for `struct`."""
         if self.kind == "text":
             return f"{self.length}s" * self.entries(motors)
         return f"{self.entries(motors)}{CODES[self.kind]}"
 
 
 class MessageLayout:
-    """The fields of one kind of message as bytes and back, for robots of so many motors.
+    """Encodes and decodes the fields of one message type, for robots with a fixed number of motors.
 
-    No float of a scaled field or of an f32 is refused, so that none stops a control loop. Scaled numbers are rounded to
-    the nearest, those that do not fit are clipped, and NaN becomes the least. An f32 keeps NaN and infinities, and what
-    is too large becomes infinite.
+    Every float can be encoded, so that no value stops a control loop. Values of scaled fields are rounded to the
+    nearest number and clipped; NaN becomes the minimum. An f32 keeps NaN and infinities, and values out of range become
+    infinite.
     """
 
     def __init__(self, message: type, fields: dict[str, FieldEncoding], motors: int) -> None:
@@ -65,13 +65,13 @@ class MessageLayout:
             (name, spec, start, end, round(1 / spec.scale) if spec.scale else 0)
             for (name, spec), start, end in zip(fields.items(), [0, *ends], ends, strict=False)
         ]
-        """Of each field its name, encoding, first and last entry, and numbers on the wire in one of its unit."""
+        """Name, encoding, first and last entry of each field, and its encoded numbers per unit."""
 
     def pack(self, message: Any) -> bytes:
         """Return the bytes of a message's fields.
 
         Raises:
-            ValueError: an array of another length, a text too long, or a whole number that does not fit.
+            ValueError: an array with a wrong length, a text that is too long, or an integer out of range.
         """
         flat: list[Any] = []
         try:
@@ -88,12 +88,12 @@ class MessageLayout:
             raise ValueError(f"{type(message).__name__}: {error}") from error
 
     def unpack(self, payload: bytes, text_errors: str = "strict") -> Any:
-        """Return the message of these bytes; arrays are float64, several texts a tuple.
+        """Return the message of a payload; arrays are float64, lists of texts are tuples.
 
-        `text_errors` is what `bytes.decode` does with bytes that are no UTF-8.
+        `text_errors` is the error handler of `bytes.decode` for bytes that are not UTF-8.
 
         Raises:
-            ValueError: another number of bytes, or bytes that are no text.
+            ValueError: a payload with a wrong length, or text that is not UTF-8.
         """
         if len(payload) != self.struct.size:
             raise ValueError(f"{self._message.__name__} has {len(payload)} bytes; it must have {self.struct.size}")
@@ -120,7 +120,7 @@ class MessageLayout:
 
 
 def _numbers(kind: str, per: int, values: list[Any]) -> list[Any]:
-    """Return values as `struct` takes them; `per` numbers on the wire make one of the value's unit, 0: no scale."""
+    """Return values as numbers for `struct`; `per` is the encoded number of one unit, or 0 for no scale."""
     if per:
         low, high = _LIMITS[kind]
         return [low if not (x := value * per) > low else high if x > high else round(x) for value in values]
@@ -131,5 +131,5 @@ def _texts(name: str, spec: FieldEncoding, values: Any) -> list[bytes]:
     encoded = [str(value).encode() for value in values]
     for value, raw in zip(values, encoded, strict=True):
         if len(raw) > spec.length and not spec.cut:
-            raise ValueError(f"{name} is '{value}'; it may have {spec.length} bytes")
+            raise ValueError(f"{name} is '{value}'; it may have at most {spec.length} bytes")
     return [raw[: spec.length].decode(errors="ignore").encode() for raw in encoded]

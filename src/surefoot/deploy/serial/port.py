@@ -1,4 +1,4 @@
-"""A serial port that never blocks and that one program holds at a time."""
+"""Non-blocking serial port for exclusive use by one program."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ BAUD = 921_600
 
 
 class SerialPort:
-    """A serial port, or a pseudo-terminal, that no other program may open meanwhile.
+    """Serial port or pseudo-terminal, locked against other programs while it is open.
 
     Args:
-        path: such as /dev/ttyUSB0.
-        baud: bits a second; 10 make a byte.
+        path: path of the device, such as /dev/ttyUSB0.
+        baud: bit rate [1/s]; a byte takes 10 bits.
 
     Raises:
-        SurefootError: no such port, no right to it, or another program has it.
+        SurefootError: no such port, no permission, or another program uses it.
     """
 
     def __init__(self, path: str, baud: int = BAUD) -> None:
@@ -33,25 +33,25 @@ class SerialPort:
         except (serial.SerialException, OSError, ValueError) as error:
             number = getattr(error, "errno", None)
             if number == errno.EAGAIN or "exclusively lock" in str(error):
-                raise SurefootError(f"port {path}: another program has it; one operator at a time") from error
+                raise SurefootError(f"port {path}: another program uses it; only one operator at a time") from error
             reason = os.strerror(number) if number else str(error)
             raise SurefootError(f"port {path}: can't be opened: {reason}") from error
         self._file = self._serial.fileno()
         os.set_blocking(self._file, False)
         self._input = TerminalInput(self._file)
-        # USB adapters otherwise hold bytes back for up to 16 ms; pseudo-terminals and some adapters have no such mode.
+        # Without it, USB adapters delay bytes by up to 16 ms. Pseudo-terminals and some adapters have no such mode.
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
             self._serial.set_low_latency_mode(True)
 
     def read(self) -> bytes:
-        """Return the bytes that have arrived, maybe none; never waits."""
+        """Return the bytes that have arrived, possibly none, without waiting."""
         try:
             return self._input.read()
         except OSError as error:
             raise LinkLostError(f"port {self.path} is gone: {error.strerror}") from error
 
     def write(self, data: bytes) -> int:
-        """Write bytes; never waits. Return how many the line took."""
+        """Write bytes without waiting; return how many were accepted."""
         try:
             return os.write(self._file, data)
         except BlockingIOError:
@@ -60,7 +60,7 @@ class SerialPort:
             raise LinkLostError(f"port {self.path} is gone: {error.strerror}") from error
 
     def wait(self, timeout: float) -> None:
-        """Wait until something can be read, at most `timeout` [s]."""
+        """Wait until data can be read, at most `timeout` [s]."""
         self._input.wait(timeout)
 
     def close(self) -> None:

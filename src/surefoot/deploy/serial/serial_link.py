@@ -1,4 +1,4 @@
-"""A link over a serial line: COBS frames, numbered, through a port that never blocks."""
+"""Link over a serial line: numbered COBS frames through a non-blocking port."""
 
 from __future__ import annotations
 
@@ -8,44 +8,44 @@ from typing import Protocol
 
 from surefoot.deploy.clock import Clock, LockstepClock
 from surefoot.deploy.messages import Bye, Handshake, Hello, Message, Packet, Ping, Pong, Position, Pwm
-from surefoot.deploy.robot_link import Arrival, RobotLink
+from surefoot.deploy.robot_link import ReceivedPacket, RobotLink
 from surefoot.deploy.serial.codec import VERSION, Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.errors import SurefootError
 
 LEAD = 0.005
-"""Time [s] between a state's sending and the control step that uses it.
+"""Time from the sending of a state to the control step that uses it [s].
 
-At 921,600 baud a command of 8 motors takes 0.6 ms and a state 1.7 ms; the policy takes 0.5 ms. Without a line, a step
-of a steered policy with 12 motors takes 1 to 2 ms on a busy computer. The rest is a margin: a state that arrives too
-late is a whole control step older, one that arrives too early a millisecond or two."""
-_PATIENCE = (0.05, 0.15, 0.5, 1.3, 3.0)
-"""Real time [s] after which a ping is sent again, and at last given up. A robot in lockstep answers within a few
-milliseconds, unless the line lost the ping or its pong."""
+At 921,600 baud a command for 8 motors takes 0.6 ms and a state 1.7 ms; the policy takes 0.5 ms. A step of a steered
+policy with 12 motors takes 1 to 2 ms on a busy computer, without the line. The rest is a margin: a state that arrives
+too late is a whole control step older, a state that arrives too early only a millisecond or two."""
+_PING_TIMEOUTS = (0.05, 0.15, 0.5, 1.3, 3.0)
+"""Timeouts in real time after which a ping is repeated, and the last one after which it has failed [s]. A robot in
+lockstep answers within a few milliseconds, unless the ping or its pong was lost."""
 
 
 class Port(Protocol):
-    """Bytes in and out, without ever blocking; see `port.SerialPort`."""
+    """Non-blocking byte stream in both directions, such as `port.SerialPort`."""
 
     def read(self) -> bytes:
-        """Return the bytes that have arrived, maybe none."""
+        """Return the bytes that have arrived, possibly none."""
 
     def write(self, data: bytes) -> int:
-        """Write bytes; return how many were taken."""
+        """Write bytes; return how many were accepted."""
 
     def wait(self, timeout: float) -> None:
-        """Wait until something can be read, at most `timeout` [s]."""
+        """Wait until data can be read, at most `timeout` [s]."""
 
     def close(self) -> None:
         """Release the port."""
 
 
 class SerialLink(RobotLink):
-    """A link over a port that carries bytes. Frames whose numbers repeat or decrease are dropped and counted.
+    """Link over a byte stream. Frames with repeated or decreasing sequence numbers are dropped and counted.
 
-    In lockstep, frames are received only where time passes: otherwise chance would decide whether the answer to a
-    message is seen at once or a step later. Commands are sent in one piece with the ping that lets time pass: two
-    pieces would wake the other end twice.
+    In lockstep, frames are received only while time advances. Otherwise it would depend on chance whether an answer is
+    received immediately or one step later. A command is sent together with the ping that advances the time, so that the
+    other end wakes up only once.
     """
 
     advice = "check port, cable and baud rate, and that it is switched on"
@@ -55,16 +55,16 @@ class SerialLink(RobotLink):
         self.port, self.codec = port, codec
         self.decoder = Decoder(codec, self.statistics)
         self.awaits_handshake = False
-        """Whether the session's handshake is awaited. It is the one frame that is taken whatever its number."""
+        """Whether a handshake is expected; it is accepted with any sequence number."""
         self._sequence = self._last = 0
-        self._inbox: list[Arrival] = []
+        self._inbox: list[ReceivedPacket] = []
         self._held, self._unread = b"", b""
         if isinstance(clock, LockstepClock):
             clock.follow = self._follow
 
     @property
     def next_number(self) -> int:
-        """Number of the next frame."""
+        """Sequence number of the next frame."""
         return self._sequence + 1
 
     def send(self, message: Message) -> bytes:
@@ -83,11 +83,11 @@ class SerialLink(RobotLink):
     def _write(self, data: bytes) -> None:
         data, self._held = self._held + data, b""
         if self.port.write(data) < len(data):
-            # Half a frame is no frame; the zero in front of the next one ends it.
+            # The leading zero of the next frame ends the incomplete one.
             self.statistics.unsent += 1
 
-    def receive(self) -> list[Arrival]:
-        """Return all packets that have come since, in order; never waits."""
+    def receive(self) -> list[ReceivedPacket]:
+        """Return all packets that have arrived since the last call, in order, without waiting."""
         if self.lockstep:
             self._unread += self.port.read()
         else:
@@ -95,18 +95,18 @@ class SerialLink(RobotLink):
         arrivals, self._inbox = self._inbox, []
         return arrivals
 
-    def _gather(self) -> list[Arrival]:
+    def _gather(self) -> list[ReceivedPacket]:
         data, now = self._unread + self.port.read(), self.clock.now()
         self._unread = b""
-        arrivals = [Arrival(packet, now) for packet in self.decoder.feed(data) if self._is_next(packet)]
+        arrivals = [ReceivedPacket(packet, now) for packet in self.decoder.feed(data) if self._is_next(packet)]
         self._inbox += arrivals
         return arrivals
 
     def _is_next(self, packet: Packet) -> bool:
         message = packet.message
         if self.awaits_handshake and isinstance(message, Handshake) and message.session == self.session:
-            # The robot may have been switched on anew, and counts from one again. Only once: were each handshake taken
-            # so, one that came twice or late would let old states in.
+            # The robot may have restarted, and counts from one again. This is allowed once per hello: otherwise a
+            # repeated or late handshake would let old states pass.
             self.awaits_handshake, self._last = False, 0
         if packet.sequence <= self._last:
             self.statistics.repeated += 1
@@ -117,18 +117,18 @@ class SerialLink(RobotLink):
         return True
 
     def wait(self, timeout: float) -> None:
-        """Wait until something can be received, at most `timeout` [s]."""
+        """Wait until data can be received, at most `timeout` [s]."""
         self.port.wait(timeout)
 
-    def ping_through(self, patience: Sequence[float] = _PATIENCE) -> bool:
+    def await_pong(self, timeouts: Sequence[float] = _PING_TIMEOUTS) -> bool:
         """Send a ping, wait for its pong, and return whether it arrived. Other packets are kept for `receive`.
 
-        The ping is repeated after each of the timeouts `patience` [s]. A repetition is the same frame with the same
+        The ping is repeated after each of the `timeouts` [s] but the last. A repetition is the same frame with the same
         sequence number, so sequence numbers do not depend on the robot's response time.
         """
         self._tokens += 1
         token, frame = self._tokens, b""
-        for seconds in patience:
+        for seconds in timeouts:
             if frame:
                 self._write(frame)
             else:
@@ -143,11 +143,11 @@ class SerialLink(RobotLink):
         return False
 
     def _follow(self) -> None:
-        if not self.ping_through():
-            raise SurefootError("the robot does not answer; a clock in lockstep needs an emulator run with --lockstep")
+        if not self.await_pong():
+            raise SurefootError("the robot does not answer; lockstep needs an emulator started with --lockstep")
 
     def protocol_error(self) -> str | None:
-        """Return how the protocol of what was received differs from this one; None if it does not."""
+        """Return how the protocol of received frames differs from this one, or None."""
         foreign, codec = self.decoder.foreign, self.codec
         if foreign is None:
             return None
@@ -158,7 +158,7 @@ class SerialLink(RobotLink):
         )
 
     def close(self) -> None:
-        """End the session and give the port back."""
+        """End the session and close the port."""
         try:
             self.send(Bye(self.session))
         finally:

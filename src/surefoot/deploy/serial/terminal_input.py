@@ -1,9 +1,9 @@
-"""What has arrived at a terminal device (a serial port, a pseudo-terminal), without ever waiting for the kernel.
+"""Input of a terminal device (serial port, pseudo-terminal) that never waits for the kernel.
 
-A worker of the kernel, with ordinary priority, carries bytes from the device's driver to where `read` finds them. A
-`read` that finds nothing, and a `poll` likewise, wait for a worker that is under way, also where the file is
-non-blocking: beside busy programs by up to 16 ms, whatever the caller's priority. What is used here waits for nothing:
-the count of bytes (FIONREAD), and an edge-triggered epoll, which looks at the device only after the worker woke it.
+A kernel worker with ordinary priority moves bytes from the device's driver to the buffer of `read`. If `read` finds
+nothing, it waits for a worker in progress, even if the file is non-blocking, and so does `poll`: next to busy programs
+for up to 16 ms, whatever the caller's priority. Two calls do not wait: the byte count (FIONREAD), and an edge-triggered
+epoll, which checks the device only after the worker has signalled it.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _CHUNK = 65_536
 
 
 class TerminalInput:
-    """The input of an open, non-blocking terminal device."""
+    """Input of an open, non-blocking terminal device."""
 
     def __init__(self, file: int) -> None:
         self._file = file
@@ -26,18 +26,18 @@ class TerminalInput:
         self._arrivals.register(file, select.EPOLLIN | select.EPOLLET)
 
     def count(self) -> int:
-        """Return how many bytes can be read.
+        """Return the number of bytes that can be read.
 
         Raises:
-            OSError: the device is gone, or its other end has hung up.
+            OSError: the device is gone, or the other end was closed.
         """
         return int(struct.unpack("i", fcntl.ioctl(self._file, termios.FIONREAD, b"\0\0\0\0"))[0])
 
     def read(self) -> bytes:
-        """Return the bytes that have arrived, maybe none.
+        """Return the bytes that have arrived, possibly none.
 
         Raises:
-            OSError: as `count`.
+            OSError: as for `count`.
         """
         parts = []
         while self.count():
@@ -45,17 +45,17 @@ class TerminalInput:
         return b"".join(parts)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until something can be read or the device is gone, at most `timeout` [s]; return whether it is so."""
+        """Wait until data can be read or the device is gone, at most `timeout` [s]; return whether that happened."""
         try:
             if self.count():
                 return True
         except OSError:
             return True
-        # `select` takes microseconds, `epoll.poll` whole milliseconds; the latter takes note of what has woken.
+        # `select` has microsecond resolution, `epoll.poll` only milliseconds; the latter resets the edge trigger.
         if not select.select([self._arrivals], [], [], max(timeout, 0.0))[0]:
             return False
         return bool(self._arrivals.poll(0))
 
     def close(self) -> None:
-        """Stop waiting; the device stays open."""
+        """Release the epoll; the device stays open."""
         self._arrivals.close()

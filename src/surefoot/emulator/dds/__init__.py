@@ -1,1 +1,1 @@
-"""An emulated Unitree Go2 behind its own topics and services over DDS."""
+"""Emulated Unitree Go2 with its DDS topics and services."""

@@ -1,4 +1,4 @@
-"""States of an emulated Go2: sensors, motors and battery of a body as a message rt/lowstate."""
+"""State messages rt/lowstate of an emulated Go2, from sensors, motors and battery of the simulated body."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from surefoot.seeding import generator
 
 CELLS = 8
 FULL_CELL, EMPTY_CELL = 4.2, 3.2
-"""Voltage [V] of a cell without load at 100 and 0 %, linear in between: a recorded robot had 3.83 V at 63 %."""
+"""Open-circuit voltage of a cell at 100 and 0 % charge [V], linear in between; a recorded robot had 3.83 V at 63 %."""
 _IMU_TEMPERATURE = 79
 _BMS_VERSION, _BMS_STATUS = (1, 16), 8
 _RESERVE = 0, 525
-"""The IMU's temperature [degC], versions and `reserve` of motors, as a real robot's message has them."""
-_LOST = 5, 13
-"""Range of the counts of lost messages of a motor at rest: a recorded robot had 5 to 12."""
+"""Temperature of the IMU [degC], versions and status of the battery, and `reserve` of motors, from a real robot."""
+_LOST_RANGE = 5, 13
+"""Range of the initial counts of lost messages per motor; a recorded robot had 5 to 12."""
 
 
 class Accelerometer:
-    """Measures the specific force of a body's base link, R^T (a - g), from speeds one servo step apart.
+    """Simulates the specific force of the base link, R^T (a - g), from the velocities of consecutive servo steps.
 
     Args:
-        plant: the body.
-        latency: age of readings [s], to a servo step.
-        seed: of the noise.
+        plant: simulated body of the robot.
+        latency: age of readings, rounded to servo steps [s].
+        seed: seed of the noise.
     """
 
     def __init__(self, plant: Plant, latency: float, seed: int) -> None:
@@ -44,7 +44,7 @@ class Accelerometer:
         self.measure()
 
     def measure(self) -> None:
-        """Take the end of a servo step."""
+        """Sample the force at the end of a servo step."""
         base = self._plant.world.engine.base()[0]
         acceleration, self._velocity = (base[7:] - self._velocity) / self._step, base[7:]
         self._forces.append(self._mount @ quat_matrix(base[3:7]).T @ (acceleration + self._gravity))
@@ -56,12 +56,12 @@ class Accelerometer:
 
 
 class StateMessage:
-    """The message of a robot, filled anew for each state.
+    """State message of a robot, reused for each state.
 
     Args:
-        plant: the body.
-        lead: time [s] between a state's sending and its use by a deployment, as `Plant.read` takes it.
-        seed: of noise, and of the motors' counts of lost messages.
+        plant: simulated body of the robot.
+        lead: time from the sending of a state to its use by a deployment, see `Plant.read` [s].
+        seed: seed of the noise and of the initial counts of lost messages.
     """
 
     def __init__(self, plant: Plant, lead: float, seed: int = 0) -> None:
@@ -72,26 +72,26 @@ class StateMessage:
         self._stiffness = float(plant.params.contact_stiffness[0])
         self.record = record = new_record(LOW_STATE)
         self.motors = record["motor_state"][:motors]
-        """The robot's motors in the message, (M,)."""
+        """Records of the robot's motors in the message (M,)."""
         self._imu, self._bms = record["imu_state"], record["bms_state"]
         record["head"] = HEAD
         self.motors["mode"], self.motors["reserve"] = SERVO, _RESERVE
-        self.motors["lost"] = generator(seed, "emulated lost messages").integers(*_LOST, motors)
+        self.motors["lost"] = generator(seed, "emulated lost messages").integers(*_LOST_RANGE, motors)
         self._imu["temperature"] = _IMU_TEMPERATURE
         self._bms["version_high"], self._bms["version_low"] = _BMS_VERSION
         self._bms["status"] = _BMS_STATUS
-        # Compile and load what the first state needs.
+        # Compile and load all code that the first state needs.
         self.fill(0, plant.read(0.0, lead))
 
     def fill(self, tick: int, sensors: Sensors) -> Record:
-        """Write a state with a tick [ms] to the message, which stays the same object, and return it."""
+        """Write a state with a tick [ms] to the message, and return the message, which is always the same object."""
         plant, record, imu, motors, bms = self._plant, self.record, self._imu, self.motors, self._bms
         attitude = sensors.roll_pitch_yaw.tolist()
         imu["quaternion"], imu["rpy"] = rpy_quat(*attitude), attitude
         imu["gyroscope"], imu["accelerometer"] = sensors.angular_velocity_base, self.accelerometer.read()
         motors["q"], motors["dq"], motors["tau_est"] = sensors.motor_angle, sensors.motor_velocity, sensors.motor_torque
         motors["temperature"] = np.clip(sensors.temperature, 0, 255)
-        # Contact is a spring: a foot's force is its stiffness times its depth. The robot's own counts have no unit.
+        # The contact is a spring: force = stiffness * penetration [N]. Foot forces of a real robot have no unit.
         depth = self._radius - plant.world.engine.foot_positions()[0, :, 2]
         record["foot_force"] = np.clip(self._stiffness * depth, 0, 32767)
         charge = (plant.open_circuit / CELLS - EMPTY_CELL) / (FULL_CELL - EMPTY_CELL)

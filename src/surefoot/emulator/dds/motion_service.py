@@ -8,12 +8,12 @@ from surefoot.deploy.dds.low_level import Record
 from surefoot.emulator.dds.own_controller import OwnController
 from surefoot.emulator.plant import Plant
 
-_SERVE_EVERY, _STATE_EVERY = 10_000, 20_000
-"""Times [us] between two looks for requests, and between two states of the controller; a real robot's is not known."""
+_SERVE_PERIOD, _STATE_PERIOD = 10_000, 20_000
+"""Periods of answering requests, and of states of the controller [us]; the period of a real robot is unknown."""
 
 
 class EmulatedMotionService:
-    """Answers requests about a controller, and publishes its state while it is active."""
+    """Answers requests to a controller, and publishes its state while it is active."""
 
     def __init__(self, bus: Bus, controller: OwnController, plant: Plant) -> None:
         self._controller, self._plant = controller, plant
@@ -37,17 +37,17 @@ class EmulatedMotionService:
         ]
 
     def step(self, now: int, state: Record) -> None:
-        """Answer requests, and publish the controller's state where one is due; `state` is the robot's last one."""
-        if self._controller.wedged:
+        """Answer requests, and publish the controller's state if due; `state` is the robot's latest low-level state."""
+        if self._controller.blocked:
             return
-        if now % _SERVE_EVERY == 0:
+        if now % _SERVE_PERIOD == 0:
             for server in self._servers:
                 server.serve()
-        if self._controller.active and now % _STATE_EVERY == 0:
+        if self._controller.active and now % _STATE_PERIOD == 0:
             self._states.write_message(self._state(now, state))
 
     def _state(self, now: int, state: Record) -> types.SportModeState:
-        """Return the body's place and attitude; the number of its mode and what it does not have are 0."""
+        """Return position and orientation of the body; the mode and values that are not simulated are 0."""
         imu, position = state["imu_state"], self._plant.capture().position.tolist()
         return types.SportModeState(
             stamp=types.TimeSpec(now // 1_000_000, now % 1_000_000 * 1000),

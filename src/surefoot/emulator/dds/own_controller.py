@@ -1,8 +1,8 @@
-"""The controller that a Go2 has of its own, as far as others notice it: postures, and commands on rt/lowcmd.
+"""Emulation of a Go2's own motion controller: postures, and commands on rt/lowcmd.
 
-It stands up, stands, lies down and damps; it does not walk. Its poses, times and gains are those of the vendor's
-stand-up example; those of the real one are not published. While it is active it commands the motors at 500 Hz whoever
-else does, and motors follow what came last: they twitch between the two, as owners report.
+It stands up, stands, lies down and damps the motors, but does not walk. Poses, times and gains are from the vendor's
+stand-up example, since the real ones are not published. While active, it commands the motors at 500 Hz even if another
+program does as well. Motors follow the last command, so they twitch between the two, as owners report.
 """
 
 from __future__ import annotations
@@ -20,30 +20,27 @@ STANDING = np.tile([0.0, 0.67, -1.3], 4)
 LYING = np.array([-0.35, 1.36, -2.65, 0.35, 1.36, -2.65, -0.5, 1.36, -2.65, 0.5, 1.36, -2.65])
 """Poses [rad] in the order of the messages: unitree_sdk2, go2_stand_example.cpp."""
 KP, KD = 60.0, 5.0
-"""Its gains [N m/rad, N m s/rad]: the same."""
+"""Gains from the same example [N m/rad, N m s/rad]."""
 _DAMPING = 3.0
-"""Gain of damped motors [N m s/rad], that of the vendor's passive state in unitree_rl_lab."""
+"""Gain of damped motors [N m s/rad], from the vendor's passive state in unitree_rl_lab."""
 _UP, _DOWN = 1.0, 1.8
-"""Times [s] for folding the legs, for stretching them, and for lying down: the same example."""
+"""Durations of folding and of stretching the legs, and of lying down [s], from the same example."""
 NOT_ACTIVE = 4202
-"""Error of the sport service that is not initialized (unitree_sdk2_python, `go2/sport/sport_api.py`)."""
-_WEDGES = "normal"
-"""Mode of former software. Owners report that selecting it wedges a new robot until it is switched off."""
+"""Error code of a sport service that is not initialized (unitree_sdk2_python, `go2/sport/sport_api.py`)."""
+_BLOCKING_MODE = "normal"
+"""Mode of older software. Owners report that selecting it blocks a new robot until it is switched off."""
 
 
 class OwnController:
-    """Postures and modes; times are whole microseconds.
-
-    It starts released: its name is empty, and it commands nothing.
-    """
+    """Modes and postures of the controller. Times are whole microseconds. It starts released."""
 
     def __init__(self) -> None:
         self.name = ""
-        """Name in the motion switcher; empty: released."""
-        self.wedged = False
-        """Neither service answers any more."""
+        """Name in the motion switcher; "" while it is released."""
+        self.blocked = False
+        """Whether both services have stopped answering."""
         self._path: list[tuple[float, Array]] = []
-        """Times [us] by which poses are reached, and the poses; empty: motors are damped."""
+        """Poses and the times at which they are reached [us]; empty while motors are damped."""
         self._start: tuple[int, Array] | None = None
         self._released = False
         self._command = new_command()
@@ -56,26 +53,26 @@ class OwnController:
     # Requests to the motion switcher.
 
     def check_mode(self, _: str) -> Answer:
-        """Tell which controller is active."""
+        """Return the name of the active controller."""
         return OK, json.dumps({"form": "0", "name": self.name})
 
     def select_mode(self, parameter: str) -> Answer:
-        """Become active."""
+        """Activate the controller."""
         name = parse_object(parameter).get("name")
-        if name == _WEDGES:
-            self.wedged = True
+        if name == _BLOCKING_MODE:
+            self.blocked = True
         if name != OWN_CONTROLLER:
             return BAD_PARAMETER, ""
         self.activate()
         return OK, ""
 
     def activate(self) -> None:
-        """Become active with damped motors, unless it is."""
+        """Activate the controller with damped motors, unless it is active."""
         if not self.active:
             self.name, self._path = OWN_CONTROLLER, []
 
     def release_mode(self, _: str) -> Answer:
-        """Leave the motors to others; a robot that stands sinks."""
+        """Release the controller; a standing robot sinks."""
         self._released = self.active
         self.name, self._path = "", []
         return OK, ""
@@ -83,20 +80,20 @@ class OwnController:
     # Requests to the sport service.
 
     def damp(self, _: str = "") -> Answer:
-        """Damp all motors; a robot that stands drops."""
+        """Damp all motors; a standing robot drops."""
         return self._go([])
 
     def stand_up(self, _: str = "") -> Answer:
-        """Fold the legs and stretch them, unless it stands already."""
+        """Fold the legs and stretch them, unless the robot already stands."""
         stands = bool(self._path) and self._path[-1][1] is STANDING
         return (OK, "") if stands else self._go([(_UP, FOLDED), (2 * _UP, STANDING)])
 
     def stand_down(self, _: str = "") -> Answer:
-        """Lie down and hold the legs folded."""
+        """Lie down, and hold the legs folded."""
         return self._go([(_DOWN, LYING)])
 
     def stop_move(self, _: str = "") -> Answer:
-        """Stay: it never moves on."""
+        """Do nothing, since the controller never walks."""
         return (OK, "") if self.active else (NOT_ACTIVE, "")
 
     def _go(self, path: list[tuple[float, Array]]) -> Answer:
@@ -106,9 +103,9 @@ class OwnController:
         return OK, ""
 
     def command(self, now: int, angles: Array) -> Record | None:
-        """Return the command of a moment, for motors at `angles` (12,) [rad]; None if it is not active.
+        """Return the motor command at time `now`, with motors at `angles` (12,) [rad]; None if it is not active.
 
-        The first one after its release damps the motors. The message stays the same object.
+        The first command after its release damps the motors. The message is always the same object.
         """
         released, self._released = self._released, False
         if not self.active and not released:
@@ -120,10 +117,10 @@ class OwnController:
             return self._command
         if self._start is None:
             self._start = now, angles.copy()
-        begun, pose = self._start
-        before = 0.0
+        start, pose = self._start
+        previous = 0.0
         for at, target in self._path:
-            share = min(max((now - begun - before) / (at - before), 0.0), 1.0)
-            pose, before = pose + share * (target - pose), at
+            phase = min(max((now - start - previous) / (at - previous), 0.0), 1.0)
+            pose, previous = pose + phase * (target - pose), at
         motors["q"], motors["kp"], motors["kd"] = pose, KP, KD
         return self._command

@@ -1,1 +1,1 @@
-"""The robot's end of a serial line: a pseudo-terminal, transmission times, damage on the way, lockstep."""
+"""Robot's end of a serial line: pseudo-terminal or socket, transmission times, line faults, lockstep."""

@@ -1,4 +1,4 @@
-"""One direction of a serial line: transmission time, and harm to frames on the way."""
+"""One direction of a simulated serial line: transmission time, and faults of frames."""
 
 from __future__ import annotations
 
@@ -8,48 +8,48 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from surefoot.emulator.fault_table import HARMS
+from surefoot.emulator.fault_table import LINE_FAULTS
 from surefoot.emulator.faults import flip_bits
 
 BITS_PER_BYTE = 10
 """Start bit, eight data bits, stop bit."""
 _MAX_OPEN = 4096
-"""Bytes that are kept while no zero ends a frame."""
+"""Maximum number of buffered bytes without a zero that ends a frame."""
 
 
 class Line:
-    """One direction of the line. Times are whole microseconds.
+    """One direction of a serial line. Times are whole microseconds.
 
     Args:
-        random: draws harms of frames.
-        baud: bits per second; 0: bytes take no time.
-        batch: bytes arrive only at multiples of this time [s], as with some USB adapters; 0: without delay.
+        random: random numbers of the faults.
+        baud: bit rate [1/s]; 0: bytes take no time.
+        batch: bytes arrive only at multiples of this time, as with some USB adapters [s]; 0: no delay.
     """
 
     def __init__(self, random: np.random.Generator, baud: float = 0.0, batch: float = 0.0) -> None:
-        self.chances: Mapping[str, float] = {}
-        """Chance of each harm that may happen now, 0 to 1 per frame."""
+        self.probabilities: Mapping[str, float] = {}
+        """Probability of each active line fault, 0 to 1 per frame."""
         self.counts: Counter[str] = Counter()
-        """Frames to which something happened, by harm."""
-        self.dead = False
+        """Number of affected frames by fault."""
+        self.unplugged = False
         self._random, self._baud, self._batch = random, baud, batch
         self._open = bytearray()
-        self._late: bytes | None = None
+        self._delayed: bytes | None = None
         self._free_at = 0.0
-        self._coming: deque[tuple[int, bytes]] = deque()
+        self._in_transit: deque[tuple[int, bytes]] = deque()
 
     @property
     def next_time(self) -> float:
-        """When the next bytes arrive; infinite if none are on their way."""
-        return self._coming[0][0] if self._coming else math.inf
+        """Time at which the next bytes arrive; infinite if none are in transit."""
+        return self._in_transit[0][0] if self._in_transit else math.inf
 
     def take(self) -> bytes:
-        """Return the bytes that arrive next."""
-        return self._coming.popleft()[1]
+        """Remove and return the next bytes."""
+        return self._in_transit.popleft()[1]
 
     def send(self, now: int, data: bytes) -> None:
-        """Put bytes on the line; zeros separate frames."""
-        if self.dead:
+        """Send bytes; zeros separate frames."""
+        if self.unplugged:
             return
         self._open += data
         start = 0
@@ -60,45 +60,45 @@ class Line:
                 start = 0
             else:
                 start = end + 1
-        # A zero that begins a frame waits for the rest; bytes that never become a frame are passed on as they are.
+        # The leading zero of a frame waits for the rest. Bytes that are too long for a frame are sent unchanged.
         if len(self._open) > _MAX_OPEN:
             self._put(now, bytes(self._open))
             self._open.clear()
 
     def _send_frame(self, now: int, frame: bytes) -> None:
-        if not self.chances:
+        if not self.probabilities:
             self._put(now, frame)
             return
-        late, self._late = self._late, None
-        for piece in self._harmed(frame):
+        delayed, self._delayed = self._delayed, None
+        for piece in self._apply_faults(frame):
             self._put(now, piece)
-        if late is not None:
-            self._put(now, late)
+        if delayed is not None:
+            self._put(now, delayed)
 
-    def _harmed(self, frame: bytes) -> list[bytes]:
-        """Return the pieces that a frame becomes; keep a frame that arrives after the next one."""
+    def _apply_faults(self, frame: bytes) -> list[bytes]:
+        """Return the bytes that arrive instead of a frame; a reordered frame is stored until the next one."""
         random = self._random
-        draws = dict(zip(HARMS, random.random(len(HARMS)).tolist(), strict=True))
+        samples = dict(zip(LINE_FAULTS, random.random(len(LINE_FAULTS)).tolist(), strict=True))
 
-        def strikes(harm: str) -> bool:
-            hit = draws[harm] < self.chances.get(harm, 0.0)
-            self.counts[harm] += hit
-            return hit
+        def occurs(fault: str) -> bool:
+            occurs = samples[fault] < self.probabilities.get(fault, 0.0)
+            self.counts[fault] += occurs
+            return occurs
 
         pieces = []
-        if strikes("garbage"):
+        if occurs("garbage"):
             pieces.append(random.bytes(int(random.integers(1, 64))))
-        if strikes("drop"):
+        if occurs("drop"):
             return pieces
-        if strikes("cut-frames"):
+        if occurs("cut-frames"):
             at = int(random.integers(1, len(frame) - 1))
             frame = frame[:at] if random.random() < 0.5 else frame[at:]
-        if strikes("corrupt"):
+        if occurs("corrupt"):
             frame = flip_bits(frame, random)
-        if strikes("reorder"):
-            self._late = frame
+        if occurs("reorder"):
+            self._delayed = frame
             return pieces
-        return [*pieces, frame, frame] if strikes("duplicate") else [*pieces, frame]
+        return [*pieces, frame, frame] if occurs("duplicate") else [*pieces, frame]
 
     def _put(self, now: int, data: bytes) -> None:
         at = float(now)
@@ -108,9 +108,9 @@ class Line:
         if self._batch:
             step = self._batch * 1e6
             at = -(-at // step) * step
-        self._coming.append((round(at), data))
+        self._in_transit.append((round(at), data))
 
     def cut_off(self) -> None:
-        """Pull the cable: what is on its way is lost, and all that follows."""
-        self.dead = True
-        self._coming.clear()
+        """Pull the cable: data in transit and all later data are lost."""
+        self.unplugged = True
+        self._in_transit.clear()

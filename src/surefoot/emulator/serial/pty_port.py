@@ -1,4 +1,4 @@
-"""The robot's end of a pseudo-terminal; hosts open the other end as a serial port."""
+"""Robot's end of a pseudo-terminal, whose other end hosts open as a serial port."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from surefoot.errors import SurefootError
 
 
 class PtyPort:
-    """A pseudo-terminal in raw mode that hosts open and close. It blocks only with a timeout.
+    """Pseudo-terminal in raw mode. It blocks only with a timeout.
 
     Args:
-        link: symbolic link to make; it is removed when the port is closed.
-        held: keep the hosts' end open here too, so that the last host's closing has no effect.
+        link: symbolic link to create; it is removed when the port is closed.
+        held: whether to keep the hosts' end open as well, so that nothing happens when the last host closes it.
 
     Raises:
         SurefootError: the link exists.
@@ -34,34 +34,34 @@ class PtyPort:
         self._hangup = select.poll()
         self._hangup.register(self._master, select.POLLIN)
         self.unread = 0
-        """Frames dropped because nobody read what came before them."""
+        """Number of frames dropped because no host read the earlier ones."""
         self._link = link
         if link is not None:
             if link.is_symlink() and not link.exists():
-                link.unlink()  # left behind by an emulator that was killed
+                link.unlink()  # left by an emulator that was killed
             try:
                 link.symlink_to(self.path)
             except FileExistsError:
                 raise SurefootError(f"link {link} exists; give another name") from None
 
     def read(self) -> bytes:
-        """Return what hosts have written."""
+        """Return the bytes that hosts have written."""
         try:
             return self._input.read()
-        except OSError:  # nobody
+        except OSError:  # no host
             return b""
 
-    def deserted(self) -> bool:
-        """Return whether no host has the port open and all that was written is read; False, if it is held."""
+    def has_no_host(self) -> bool:
+        """Return whether no host has the port open and all data were read; False for a held port."""
         events = sum(event for _, event in self._hangup.poll(0))
         return bool(events & select.POLLHUP) and not events & select.POLLIN
 
     def wait(self, timeout: float) -> bool:
-        """Wait until something can be read, at most `timeout` [s]; return whether it can."""
+        """Wait until data can be read, at most `timeout` [s]; return whether they can."""
         return self._input.wait(timeout)
 
     def write(self, data: bytes, patience: float = 0.0) -> None:
-        """Write to the hosts; drop what they do not read within `patience` [s]."""
+        """Write to the hosts; drop data that they do not read within `patience` [s]."""
         while data:
             try:
                 data = data[os.write(self._master, data) :]
@@ -69,11 +69,11 @@ class PtyPort:
                 if patience <= 0 or not select.select([], [self._master], [], patience)[1]:
                     self.unread += 1
                     return
-            except OSError:  # a host has just left a port that is not held
+            except OSError:  # a host has just closed a port that is not held
                 return
 
     def close(self) -> None:
-        """Hang up, and remove the link."""
+        """Close the port, and remove the link."""
         if self._link is not None:
             self._link.unlink(missing_ok=True)
         self._input.close()

@@ -1,4 +1,4 @@
-"""The robot's end of a serial line: a port's bytes to packets and back."""
+"""Robot's end of a simulated serial line, with encoding and decoding of packets."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ HostPort = PtyPort | SocketServerPort
 
 
 class SerialHostLink:
-    """COBS frames over a line in both directions; a `Transport`.
+    """COBS frames over a simulated line in both directions; a `Transport`.
 
     Args:
-        port: where the line ends for hosts.
+        port: port that hosts open.
         motors: number of motors of the robot.
-        faults: injected faults by name; only those of the line have an effect here.
-        baud: bits per second; 0: bytes take no time.
-        seed: of the random damage to frames.
-        patience: longest time [s] that a write waits for a host to read.
-        lead: time [s] between a state's sending and its use by a deployment; 0 in lockstep.
+        faults: injected faults by name; only faults of the line have an effect here.
+        baud: bit rate [1/s]; 0: bytes take no time.
+        seed: seed of the random faults.
+        patience: maximum time to wait for a host to read [s].
+        lead: time from the sending of a state to its use by a deployment [s]; 0 in lockstep.
     """
 
     def __init__(
@@ -51,63 +51,63 @@ class SerialHostLink:
 
     @property
     def statistics(self) -> LinkStatistics:
-        """What the firmware has received since it started, and what hosts did not read."""
+        """Packets received by the firmware since its start, and packets not read by hosts."""
         self.frames.statistics.unsent = self.port.unread
         return self.frames.statistics
 
     @property
-    def chances(self) -> Mapping[str, float]:
-        """Chance of each harm that may happen now, 0 to 1 per frame."""
-        return self.inbound.chances
+    def probabilities(self) -> Mapping[str, float]:
+        """Probability of each active line fault, 0 to 1 per frame."""
+        return self.inbound.probabilities
 
-    @chances.setter
-    def chances(self, chances: Mapping[str, float]) -> None:
-        self.inbound.chances = self.outbound.chances = chances
+    @probabilities.setter
+    def probabilities(self, probabilities: Mapping[str, float]) -> None:
+        self.inbound.probabilities = self.outbound.probabilities = probabilities
 
     @property
     def next_arrival(self) -> float:
-        """When the next bytes reach the robot; infinite if none are on their way."""
+        """Time at which the next bytes reach the robot; infinite if none are in transit."""
         return self.inbound.next_time
 
     @property
     def next_departure(self) -> float:
-        """When the next bytes reach the host; infinite if none are on their way."""
+        """Time at which the next bytes reach the host; infinite if none are in transit."""
         return self.outbound.next_time
 
     def poll(self, now: int) -> None:
-        """Put what hosts have written on the line to the robot."""
+        """Send the bytes that hosts have written to the robot."""
         if data := self.port.read():
             self.inbound.send(now, data)
 
     def take(self, now: int) -> bytes:
-        """Return the bytes that have reached the hosts by now."""
+        """Remove and return the bytes that have reached the hosts by now."""
         data = b""
         while self.outbound.next_time <= now:
             data += self.outbound.take()
         return data
 
     def flush(self, now: int) -> None:
-        """Write the bytes that have passed the simulated line by now to the port."""
+        """Write the bytes that have reached the hosts by now to the port."""
         if data := self.take(now):
             self.port.write(data, self._patience)
 
     def wait(self, timeout: float) -> bool:
-        """Wait until hosts have written something, at most `timeout` [s]; return whether they have."""
+        """Wait until hosts have written data, at most `timeout` [s]; return whether they have."""
         return self.port.wait(timeout)
 
     def receive(self, now: int, firmware: Firmware) -> None:
-        """Hand the firmware the packets of the bytes that arrive next, and report damage to it."""
+        """Pass the packets in the next bytes to the firmware, and report damage to it."""
         self.frames.receive(now, self.inbound.take(), firmware)
 
     def send(self, now: int, packet: Packet) -> None:
-        """Put a packet's frame on the line to the host."""
+        """Send the frame of a packet to the host."""
         self.outbound.send(now, self.frames.encode(packet))
 
     def restart(self) -> None:
-        """Forget frames that are not complete: the firmware starts anew."""
+        """Discard incomplete frames, since the firmware restarts."""
         self.frames.restart()
 
     def cut_off(self) -> None:
-        """Pull the cable: what is on its way is lost, and all that follows."""
+        """Pull the cable: data in transit and all later data are lost."""
         self.inbound.cut_off()
         self.outbound.cut_off()

@@ -1,6 +1,6 @@
-"""The robot's end of a Unix socket, which hosts open in place of a serial port.
+"""Robot's end of a Unix socket, which hosts open instead of a serial port.
 
-Bytes of a pseudo-terminal wait for a worker of the kernel (`deploy.serial.terminal_input`), those of a socket do not.
+Bytes of a pseudo-terminal wait for a kernel worker (see `deploy.serial.terminal_input`); bytes of a socket do not.
 """
 
 from __future__ import annotations
@@ -15,21 +15,21 @@ from surefoot.errors import SurefootError
 
 
 class SocketServerPort:
-    """A socket that one host at a time connects to; a second one is turned away. It blocks only with a timeout.
+    """Socket for one host at a time; others are rejected. It blocks only with a timeout.
 
     Args:
-        path: of the socket; it is removed when the port is closed.
+        path: path of the socket; it is removed when the port is closed.
 
     Raises:
-        SurefootError: the path exists, or no socket can be made there.
+        SurefootError: the path exists, or no socket can be created there.
     """
 
     def __init__(self, path: Path) -> None:
         self.path, self.unread = str(path), 0
-        """Frames dropped because the host did not read what came before them."""
+        """Number of frames dropped because the host did not read the earlier ones."""
         self._listener = socket.socket(socket.AF_UNIX)
         if path.is_socket() and self._listener.connect_ex(self.path):
-            path.unlink()  # left behind by an emulator that was killed
+            path.unlink()  # left by an emulator that was killed
         try:
             self._listener.bind(self.path)
         except OSError as error:
@@ -50,32 +50,32 @@ class SocketServerPort:
         self._host = SocketPort(end, "the host")
         self.write(GREETING)
 
-    def deserted(self) -> bool:
+    def has_no_host(self) -> bool:
         """Return whether no host is connected."""
         self._accept()
         return self._host is None
 
     def read(self) -> bytes:
-        """Return what the host has written."""
+        """Return the bytes that the host has written."""
         self._accept()
         try:
             return self._host.read() if self._host is not None else b""
         except LinkLostError:
-            self._leave()
+            self._disconnect()
             return b""
 
-    def _leave(self) -> None:
+    def _disconnect(self) -> None:
         if self._host is not None:
             self._host.close()
             self._host = None
 
     def wait(self, timeout: float) -> bool:
-        """Wait until something can be read or a host comes or goes, at most `timeout` [s]; return whether it is so."""
+        """Wait for data, or for a host that connects or leaves, at most `timeout` [s]; return whether one came."""
         files = [self._listener.fileno(), *([self._host.fileno()] if self._host is not None else [])]
         return bool(select.select(files, [], [], max(timeout, 0.0))[0])
 
     def write(self, data: bytes, patience: float = 0.0) -> None:
-        """Write to the host; drop what it does not read within `patience` [s]."""
+        """Write to the host; drop data that it does not read within `patience` [s]."""
         try:
             while data and self._host is not None:
                 data = data[self._host.write(data) :]
@@ -83,10 +83,10 @@ class SocketServerPort:
                     self.unread += 1
                     return
         except LinkLostError:
-            self._leave()
+            self._disconnect()
 
     def close(self) -> None:
-        """Hang up, and remove the socket."""
-        self._leave()
+        """Close the connection, and remove the socket."""
+        self._disconnect()
         self._listener.close()
         Path(self.path).unlink(missing_ok=True)

@@ -8,16 +8,16 @@
 
 #define MOTORS SUREFOOT_MOTORS
 #define SECOND 1000000u
-#define WINDOW 10u /* seconds in which the quickest frame is looked for */
-#define WATCHDOG 20000u
-#define REASONS ((size_t)SUREFOOT_REASON_WATCHER + 1u)
+#define SYNC_WINDOW 10u /* seconds over which the fastest frame is searched */
+#define WATCHDOG_TIMEOUT 20000u /* us */
+#define REASONS ((size_t)SUREFOOT_REASON_WATCHDOG + 1u)
 
 static const char *const mode_names[] = {"DISARMED", "POSITION", "PWM", "FAULT"};
 
-/* Least difference between arrival here and sending there, of frames that arrived in one second. */
+/* Minimum of arrival time here minus sending time there, of the frames that arrived in one second. */
 typedef struct {
     uint64_t second;
-    int64_t least;
+    int64_t minimum;
 } bucket;
 
 static struct {
@@ -27,49 +27,49 @@ static struct {
     uint16_t owner;
     uint32_t last_number, old_numbers;
     uint64_t last_received, clean_since; /* BOARD_NEVER: not clean */
-    bucket buckets[WINDOW + 1u];
+    bucket buckets[SYNC_WINDOW + 1u];
     size_t first_bucket, num_buckets;
-    /* Of each reason the times of the last refusals, the oldest at `oldest`; only their last 32 bits, so that after 71
-     * minutes a refusal may be left out. */
-    uint32_t refused[REASONS][LIMIT_REFUSALS];
-    uint8_t oldest[REASONS], refusals[REASONS];
+    /* Times of the last rejections for each reason, the oldest at `oldest`. Only the lowest 32 bits are stored, so
+     * that after 71 minutes a rejection may not be sent. */
+    uint32_t rejection_times[REASONS][LIMIT_REFUSALS];
+    uint8_t oldest[REASONS], rejections[REASONS];
     /* Modes and commands. */
     uint8_t mode, reason;
-    bool fresh, first; /* armed, and no step yet that holds the angles; no command yet */
+    bool fresh, first; /* just armed, and no servo step yet; no command yet */
     uint32_t period, report_after, state_period;
     uint64_t next_state, command_time;
     uint32_t command, stale;
     uint16_t dropped;
     uint32_t dropped_in_a_row;
-    float order[MOTORS];
-    /* Readings of the last servo step. */
+    float motor_values[MOTORS];
+    /* Sensor readings of the last servo step. */
     bool ticked, finite;
     float angle[MOTORS], roll, pitch, voltage, temperature;
-    uint64_t low_since, energy; /* energy in uJ: a float would stop counting */
+    uint64_t low_since, energy; /* energy in uJ: a float would stop increasing */
 } board;
 
-/* The text of the next fault: one buffer, since copies would take the stack. */
+/* Text of the next fault: a single buffer, since copies would take stack memory. */
 
 static struct {
     char chars[sizeof(((surefoot_fault *)0)->text)];
     size_t length;
-} why;
+} text;
 
-static void put(const char *more)
+static void append_text(const char *more)
 {
-    while (*more != '\0' && why.length < sizeof(why.chars)) {
-        why.chars[why.length++] = *more++;
+    while (*more != '\0' && text.length < sizeof(text.chars)) {
+        text.chars[text.length++] = *more++;
     }
 }
 
-/* Begin a text. */
-static void say(const char *chars)
+/* Start a new text. */
+static void set_text(const char *chars)
 {
-    why.length = 0;
-    put(chars);
+    text.length = 0;
+    append_text(chars);
 }
 
-static void put_whole(uint32_t number)
+static void append_integer(uint32_t number)
 {
     char digits[11];
     size_t at = sizeof(digits) - 1u;
@@ -79,59 +79,59 @@ static void put_whole(uint32_t number)
         digits[--at] = (char)('0' + number % 10u);
         number /= 10u;
     } while (number != 0u);
-    put(digits + at);
+    append_text(digits + at);
 }
 
-/* Put a number with so many decimals. */
-static void put_number(float number, int decimals)
+/* Append a number with a fixed number of decimals. */
+static void append_number(float number, int decimals)
 {
     const float magnitude = fabsf(number);
     uint32_t unit = 1, whole;
     int k;
 
     if (isnan(number)) {
-        put("nan");
+        append_text("nan");
         return;
     }
     if (number < 0.0f) {
-        put("-");
+        append_text("-");
     }
     if (!(magnitude < 1e6f)) {
-        put(isinf(number) ? "inf" : "1e6 or more");
+        append_text(isinf(number) ? "inf" : "1e6 or more");
         return;
     }
     for (k = 0; k < decimals; k++) {
         unit *= 10u;
     }
     whole = (uint32_t)lroundf(magnitude * (float)unit);
-    put_whole(whole / unit);
+    append_integer(whole / unit);
     if (decimals > 0) {
-        put(".");
+        append_text(".");
         for (k = 0; k < decimals; k++) {
             unit /= 10u;
-            put_whole(whole / unit % 10u);
+            append_integer(whole / unit % 10u);
         }
     }
 }
 
-/* Put a number of the table, without zeros at its end. */
-static void put_limit(float number)
+/* Append a limit, without trailing zeros. */
+static void append_limit(float number)
 {
-    put_number(number, 3);
-    while (why.length > 0u && why.chars[why.length - 1u] == '0') {
-        why.length--;
+    append_number(number, 3);
+    while (text.length > 0u && text.chars[text.length - 1u] == '0') {
+        text.length--;
     }
-    if (why.length > 0u && why.chars[why.length - 1u] == '.') {
-        why.length--;
+    if (text.length > 0u && text.chars[text.length - 1u] == '.') {
+        text.length--;
     }
 }
 
-static void put_seconds(uint32_t microseconds)
+static void append_seconds(uint32_t microseconds)
 {
-    put_limit((float)microseconds / 1e6f);
+    append_limit((float)microseconds / 1e6f);
 }
 
-/* To the host. */
+/* Messages to the host. */
 
 static void send(uint8_t type, const void *message)
 {
@@ -140,34 +140,34 @@ static void send(uint8_t type, const void *message)
     if (board.sent < UINT32_MAX) {
         const size_t size = surefoot_encode(type, message, ++board.sent, hal_time(), frame);
 
-        (void)hal_write_line(frame, size); /* what the line has no room for is lost; a newer state follows */
+        (void)hal_write_line(frame, size); /* a frame that does not fit is lost; a newer state follows */
     }
 }
 
-/* Send a fault with the text that was said last. */
+/* Send a fault with the current text. */
 static void send_fault(uint16_t session, uint8_t reason)
 {
     surefoot_fault fault = {.session = session, .reason = reason};
 
-    memcpy(fault.text, why.chars, why.length);
+    memcpy(fault.text, text.chars, text.length);
     send(SUREFOOT_FAULT, &fault);
 }
 
-/* Refuse a message with the text that was said last, at most LIMIT_REFUSALS times a second for each reason. */
-static void refuse(uint64_t now, uint16_t session, uint8_t reason)
+/* Reject a message with the current text, at most LIMIT_REFUSALS times per second for each reason. */
+static void reject(uint64_t now, uint16_t session, uint8_t reason)
 {
     const size_t at = reason < REASONS ? reason : 0u;
-    uint32_t *const times = board.refused[at];
+    uint32_t *const times = board.rejection_times[at];
     const uint8_t oldest = board.oldest[at];
 
-    if (board.refusals[at] == LIMIT_REFUSALS) {
+    if (board.rejections[at] == LIMIT_REFUSALS) {
         if ((uint32_t)now - times[oldest] < SECOND) {
             return;
         }
         times[oldest] = (uint32_t)now;
         board.oldest[at] = (uint8_t)((oldest + 1u) % LIMIT_REFUSALS);
     } else {
-        times[board.refusals[at]++] = (uint32_t)now;
+        times[board.rejections[at]++] = (uint32_t)now;
     }
     send_fault(session, reason);
 }
@@ -202,35 +202,35 @@ static bool is_next(uint32_t number)
     return true;
 }
 
-/* Age of a frame that was sent at `sent` on the operator's clock: its delay beyond the quickest one's. */
+/* Age of a frame sent at time `sent` on the operator's clock: its delay relative to the fastest frame. */
 static int64_t age_of(uint64_t now, uint64_t sent)
 {
     const uint64_t second = now / SECOND;
-    /* A clock beyond 2^62 us stands still, so that differences fit. */
+    /* Times are clipped to 2^62 us, so that differences do not overflow. */
     const int64_t difference = (int64_t)now - (int64_t)(sent < (1ull << 62) ? sent : (1ull << 62));
-    int64_t least = difference;
+    int64_t minimum = difference;
     bucket *newest;
     size_t k;
 
-    while (board.num_buckets > 0u && board.buckets[board.first_bucket].second + WINDOW < second) {
-        board.first_bucket = (board.first_bucket + 1u) % (WINDOW + 1u);
+    while (board.num_buckets > 0u && board.buckets[board.first_bucket].second + SYNC_WINDOW < second) {
+        board.first_bucket = (board.first_bucket + 1u) % (SYNC_WINDOW + 1u);
         board.num_buckets--;
     }
-    newest = &board.buckets[(board.first_bucket + board.num_buckets + WINDOW) % (WINDOW + 1u)];
+    newest = &board.buckets[(board.first_bucket + board.num_buckets + SYNC_WINDOW) % (SYNC_WINDOW + 1u)];
     if (board.num_buckets == 0u || newest->second != second) {
-        newest = &board.buckets[(board.first_bucket + board.num_buckets) % (WINDOW + 1u)];
+        newest = &board.buckets[(board.first_bucket + board.num_buckets) % (SYNC_WINDOW + 1u)];
         newest->second = second;
-        newest->least = difference;
+        newest->minimum = difference;
         board.num_buckets++;
-    } else if (difference < newest->least) {
-        newest->least = difference;
+    } else if (difference < newest->minimum) {
+        newest->minimum = difference;
     }
     for (k = 0; k < board.num_buckets; k++) {
-        const int64_t one = board.buckets[(board.first_bucket + k) % (WINDOW + 1u)].least;
+        const int64_t one = board.buckets[(board.first_bucket + k) % (SYNC_WINDOW + 1u)].minimum;
 
-        least = one < least ? one : least;
+        minimum = one < minimum ? one : minimum;
     }
-    return difference - least;
+    return difference - minimum;
 }
 
 static bool is_armed(void)
@@ -238,7 +238,7 @@ static bool is_armed(void)
     return board.mode == SUREFOOT_MODE_POSITION || board.mode == SUREFOOT_MODE_PWM;
 }
 
-static uint64_t taken_until(void)
+static uint64_t reserved_until(void)
 {
     if (board.owner == 0u) {
         return 0u;
@@ -253,11 +253,11 @@ static uint64_t sooner(uint64_t one, uint64_t other)
     return one < other ? one : other;
 }
 
-/* Damp, with the text that was said last. */
+/* Damp the motors, with the current text. */
 static void fail(uint64_t now, uint8_t reason)
 {
     if (board.mode == SUREFOOT_MODE_FAULT) {
-        return; /* the first reason is kept */
+        return; /* keep the first reason */
     }
     board.mode = SUREFOOT_MODE_FAULT;
     board.reason = reason;
@@ -275,13 +275,13 @@ static void disarm(uint64_t now)
     }
 }
 
-/* The greater of two numbers, NaN if one of them is. */
+/* Maximum of two numbers; NaN if one of them is NaN. */
 static float greater(float one, float other)
 {
     return isnan(one) || one > other ? one : other;
 }
 
-/* Why motors must not move, by the sensors of the last servo step, which is said too; 0 if they may. */
+/* Reason why the motors must not move, from the sensors of the last servo step, with its text; 0 if they may. */
 static uint8_t hazard(uint64_t now)
 {
     const float tilt = greater(fabsf(board.roll), fabsf(board.pitch));
@@ -293,32 +293,32 @@ static uint8_t hazard(uint64_t now)
     }
     reason = hal_hazard(&seen);
     if (reason != SUREFOOT_REASON_NONE) {
-        say(seen);
+        set_text(seen);
         return reason;
     }
     if (!board.finite) {
-        say("an angle or a speed of a motor is no number");
+        set_text("the angle or speed of a motor is not finite");
         return SUREFOOT_REASON_NOT_FINITE;
     }
     if (!(tilt <= robot_handshake.tilt_limit)) {
-        say("tilt is ");
-        put_number(tilt, 2);
-        put(" rad; the limit is ");
-        put_limit(robot_handshake.tilt_limit);
+        set_text("tilt is ");
+        append_number(tilt, 2);
+        append_text(" rad; the limit is ");
+        append_limit(robot_handshake.tilt_limit);
         return SUREFOOT_REASON_TILT;
     }
     if (board.low_since != BOARD_NEVER && now - board.low_since >= LIMIT_VOLTAGE_TIME) {
-        say("battery has ");
-        put_number(board.voltage, 2);
-        put(" V; the limit is ");
-        put_limit(robot_handshake.voltage_min);
+        set_text("battery voltage is ");
+        append_number(board.voltage, 2);
+        append_text(" V; the limit is ");
+        append_limit(robot_handshake.voltage_min);
         return SUREFOOT_REASON_BATTERY;
     }
     if (!(board.temperature <= robot_handshake.temperature_max)) {
-        say("a motor has ");
-        put_number(board.temperature, 0);
-        put(" degC; the limit is ");
-        put_limit(robot_handshake.temperature_max);
+        set_text("a motor is at ");
+        append_number(board.temperature, 0);
+        append_text(" degC; the limit is ");
+        append_limit(robot_handshake.temperature_max);
         return SUREFOOT_REASON_TEMPERATURE;
     }
     return SUREFOOT_REASON_NONE;
@@ -340,9 +340,9 @@ static void answer_hello(uint64_t now, const surefoot_hello *hello)
 
 static void start_session(uint64_t now, const surefoot_header *header, const surefoot_hello *hello)
 {
-    if (board.owner != 0u && now <= taken_until()) {
-        say("another operator has the robot");
-        refuse(now, hello->session, SUREFOOT_REASON_BUSY);
+    if (board.owner != 0u && now <= reserved_until()) {
+        set_text("another operator uses the robot");
+        reject(now, hello->session, SUREFOOT_REASON_BUSY);
         return;
     }
     disarm(now);
@@ -366,37 +366,37 @@ static void arm(uint64_t now, const surefoot_arm *message)
     uint8_t reason;
 
     if (!possible || (is_armed() && mode != board.mode)) {
-        say("mode ");
-        put_whole(mode);
-        put(" can't be armed while ");
-        put(mode_names[board.mode]);
-        refuse(now, board.owner, SUREFOOT_REASON_MODE);
+        set_text("mode ");
+        append_integer(mode);
+        append_text(" can't be armed while ");
+        append_text(mode_names[board.mode]);
+        reject(now, board.owner, SUREFOOT_REASON_MODE);
         return;
     }
     if (message->command_period < robot_handshake.command_period_min
         || message->command_period > robot_handshake.command_period_max
         || message->report_after > message->command_period) {
-        say("command period is ");
-        put_number((float)message->command_period / 1e6f, 3);
-        put(" s; it must be ");
-        put_seconds(robot_handshake.command_period_min);
-        put(" to ");
-        put_seconds(robot_handshake.command_period_max);
-        refuse(now, board.owner, SUREFOOT_REASON_COMMAND);
+        set_text("command period is ");
+        append_number((float)message->command_period / 1e6f, 3);
+        append_text(" s; it must be ");
+        append_seconds(robot_handshake.command_period_min);
+        append_text(" to ");
+        append_seconds(robot_handshake.command_period_max);
+        reject(now, board.owner, SUREFOOT_REASON_COMMAND);
         return;
     }
     if (!is_armed() && board.reason != SUREFOOT_REASON_NONE && clean_for(now) < robot_handshake.rearm_after) {
-        say("the link must be clean for ");
-        put_seconds(robot_handshake.rearm_after);
-        put(" s (");
-        put(reason_names[board.reason]);
-        put(")");
-        refuse(now, board.owner, SUREFOOT_REASON_NOT_CLEAN);
+        set_text("the link must be clean for ");
+        append_seconds(robot_handshake.rearm_after);
+        append_text(" s (");
+        append_text(reason_names[board.reason]);
+        append_text(")");
+        reject(now, board.owner, SUREFOOT_REASON_NOT_CLEAN);
         return;
     }
     reason = hazard(now);
     if (reason != SUREFOOT_REASON_NONE) {
-        refuse(now, board.owner, reason);
+        reject(now, board.owner, reason);
         return;
     }
     board.period = message->command_period;
@@ -411,7 +411,7 @@ static void arm(uint64_t now, const surefoot_arm *message)
     board.next_state = now + board.report_after;
 }
 
-/* Drop a command, with the text that was said last. */
+/* Drop a command, with the current text. */
 static void drop(uint64_t now)
 {
     board.dropped++;
@@ -428,17 +428,17 @@ static void take_command(uint64_t now, const surefoot_header *header, uint8_t mo
     if (board.mode != mode) {
         board.dropped++;
         if (board.mode != SUREFOOT_MODE_FAULT) { /* every state of a faulted robot has the reason */
-            say("a command came while ");
-            put(mode_names[board.mode]);
-            refuse(now, board.owner, SUREFOOT_REASON_MODE);
+            set_text("a command arrived while ");
+            append_text(mode_names[board.mode]);
+            reject(now, board.owner, SUREFOOT_REASON_MODE);
         }
         return;
     }
     if (age > (int64_t)(LIMIT_STALE_AFTER * (float)board.period)) {
         board.stale++;
-        say("commands were late, the last by ");
-        put_number((float)age / 1e6f, 3);
-        put(" s");
+        set_text("commands were late, the last by ");
+        append_number((float)age / 1e6f, 3);
+        append_text(" s");
         drop(now);
         return;
     }
@@ -452,24 +452,24 @@ static void take_command(uint64_t now, const surefoot_header *header, uint8_t mo
 
             memcpy(name, robot_handshake.motor_names[m], sizeof(robot_handshake.motor_names[0]));
             board.dropped++;
-            say(name);
-            put(" was sent to ");
-            put_number(values[m], 3);
+            set_text(name);
+            append_text(" was commanded to ");
+            append_number(values[m], 3);
             fail(now, SUREFOOT_REASON_COMMAND);
             return;
         }
     }
     if (board.first && mode == SUREFOOT_MODE_POSITION && board.ticked) {
-        float greatest = 0.0f;
+        float torque = 0.0f;
 
         for (m = 0; m < MOTORS; m++) {
-            greatest = greater(greatest, robot_handshake.servo_kp[m] * fabsf(values[m] - board.angle[m]));
+            torque = greater(torque, robot_handshake.servo_kp[m] * fabsf(values[m] - board.angle[m]));
         }
-        if (!(greatest <= LIMIT_FIRST_TORQUE)) {
-            say("the first command would give ");
-            put_number(greatest, 1);
-            put(" N m at once; at most ");
-            put_limit(LIMIT_FIRST_TORQUE);
+        if (!(torque <= LIMIT_FIRST_TORQUE)) {
+            set_text("the first command would give ");
+            append_number(torque, 1);
+            append_text(" N m at once; at most ");
+            append_limit(LIMIT_FIRST_TORQUE);
             fail(now, SUREFOOT_REASON_COMMAND);
             return;
         }
@@ -478,7 +478,7 @@ static void take_command(uint64_t now, const surefoot_header *header, uint8_t mo
     board.command = header->sequence;
     board.command_time = now;
     board.dropped_in_a_row = 0;
-    memcpy(board.order, values, sizeof(board.order));
+    memcpy(board.motor_values, values, sizeof(board.motor_values));
     board.next_state = now + board.report_after;
 }
 
@@ -493,7 +493,7 @@ static void take_session_frame(uint64_t now, const surefoot_header *header, cons
 
     if (!is_next(header->sequence)) {
         if (command) {
-            say("commands came twice or out of order");
+            set_text("commands were repeated or out of order");
             drop(now);
         }
         return;
@@ -515,7 +515,7 @@ static void take_session_frame(uint64_t now, const surefoot_header *header, cons
         arm(now, &request);
         break;
     case SUREFOOT_DAMP:
-        say("the operator asked for it");
+        set_text("the operator requested it");
         fail(now, SUREFOOT_REASON_HOST);
         break;
     case SUREFOOT_DISARM:
@@ -528,7 +528,7 @@ static void take_session_frame(uint64_t now, const surefoot_header *header, cons
         board.owner = 0;
         board.next_state = BOARD_NEVER;
         break;
-    default: /* a robot's */
+    default: /* a message from a robot */
         break;
     }
 }
@@ -540,7 +540,7 @@ static void take_frame(uint64_t now)
     uint16_t session = 0;
 
     if (header.type == SUREFOOT_PING) {
-        /* It has no session and changes nothing: it is answered whatever its number. */
+        /* A ping has no session and changes nothing, so it is answered whatever its number. */
         surefoot_pong pong;
 
         if (board.owner != 0u) {
@@ -550,7 +550,7 @@ static void take_frame(uint64_t now)
         send(SUREFOOT_PONG, &pong);
         return;
     }
-    if (header.type != SUREFOOT_PONG) { /* all others begin with it */
+    if (header.type != SUREFOOT_PONG) { /* all other messages start with the session */
         memcpy(&session, payload, sizeof(session));
     }
     if (header.type == SUREFOOT_HELLO && session != 0u && session != board.owner) {
@@ -559,16 +559,16 @@ static void take_frame(uint64_t now)
         memcpy(&hello, payload, sizeof(hello));
         start_session(now, &header, &hello);
     } else if (session == 0u || session != board.owner) {
-        say("session ");
-        put_whole(session);
-        put(" is not known");
-        refuse(now, session, SUREFOOT_REASON_SESSION);
+        set_text("session ");
+        append_integer(session);
+        append_text(" is unknown");
+        reject(now, session, SUREFOOT_REASON_SESSION);
     } else {
         take_session_frame(now, &header, payload);
     }
 }
 
-/* What hardware calls. */
+/* Functions that the hardware calls. */
 
 void board_start(void)
 {
@@ -577,7 +577,7 @@ void board_start(void)
     board.state_period = LIMIT_STATE_PERIOD_MAX;
     hal_start();
     hal_enable_motors();
-    hal_start_watchdog(WATCHDOG);
+    hal_start_watchdog(WATCHDOG_TIMEOUT);
 }
 
 void board_receive(const uint8_t *bytes, size_t size)
@@ -592,8 +592,8 @@ void board_receive(const uint8_t *bytes, size_t size)
             break;
         case SUREFOOT_FOREIGN:
             board.clean_since = BOARD_NEVER;
-            say("schema is " ROBOT_SCHEMA_TEXT);
-            refuse(now, 0, SUREFOOT_REASON_SCHEMA);
+            set_text("schema is " ROBOT_SCHEMA_TEXT);
+            reject(now, 0, SUREFOOT_REASON_SCHEMA);
             break;
         case SUREFOOT_DAMAGED:
         case SUREFOOT_UNKNOWN:
@@ -611,9 +611,9 @@ static void check(uint64_t now)
     uint8_t reason;
 
     if (now - board.command_time >= robot_handshake.command_timeout) {
-        say("no command for ");
-        put_seconds(robot_handshake.command_timeout);
-        put(" s");
+        set_text("no command for ");
+        append_seconds(robot_handshake.command_timeout);
+        append_text(" s");
         fail(now, SUREFOOT_REASON_TIMEOUT);
         return;
     }
@@ -625,7 +625,7 @@ static void check(uint64_t now)
     reason = hal_sit(&seen);
     if (reason != SUREFOOT_REASON_NONE && board.reason == SUREFOOT_REASON_NONE) {
         board.reason = reason;
-        say(seen);
+        set_text(seen);
         send_fault(board.owner, reason);
     }
 }
@@ -634,7 +634,7 @@ void board_tick(void)
 {
     const uint64_t now = hal_time();
     float speed[MOTORS], torque[MOTORS], temperature[MOTORS], attitude[3], rates[3], power = 0.0f;
-    motor_order order[MOTORS];
+    motor_command command[MOTORS];
     size_t m;
 
     hal_read_motors(board.angle, speed, torque);
@@ -663,31 +663,32 @@ void board_tick(void)
         check(now);
     }
     if (is_armed() && board.fresh) {
-        /* Nothing was commanded yet: servos hold the present angles, motors get no duty. */
+        /* Before the first command, servos hold the present angles, and motors get zero duty. */
         board.fresh = false;
         for (m = 0; m < MOTORS; m++) {
-            board.order[m] = board.mode == SUREFOOT_MODE_POSITION ? board.angle[m] : 0.0f;
+            board.motor_values[m] = board.mode == SUREFOOT_MODE_POSITION ? board.angle[m] : 0.0f;
         }
     }
     for (m = 0; m < MOTORS; m++) {
         const float limit = robot_effort_limit[m];
         const bool position = board.mode == SUREFOOT_MODE_POSITION, pwm = board.mode == SUREFOOT_MODE_PWM;
-        float wanted;
+        float effort;
 
         /* Damped motors have the servo's own derivative gain. */
-        order[m].target = position ? board.order[m] : 0.0f;
-        order[m].kp = position ? robot_handshake.servo_kp[m] : 0.0f;
-        order[m].kd = pwm ? 0.0f : robot_handshake.servo_kd[m];
-        order[m].feedforward = pwm ? board.order[m] * limit : 0.0f;
-        wanted = order[m].feedforward + order[m].kp * (order[m].target - board.angle[m]) - order[m].kd * speed[m];
-        /* An effort that is no number is none. */
-        order[m].effort = wanted > limit ? limit : wanted < -limit ? -limit : isnan(wanted) ? 0.0f : wanted;
+        command[m].target = position ? board.motor_values[m] : 0.0f;
+        command[m].kp = position ? robot_handshake.servo_kp[m] : 0.0f;
+        command[m].kd = pwm ? 0.0f : robot_handshake.servo_kd[m];
+        command[m].feedforward = pwm ? board.motor_values[m] * limit : 0.0f;
+        effort = command[m].feedforward + command[m].kp * (command[m].target - board.angle[m])
+                 - command[m].kd * speed[m];
+        /* An effort that is NaN becomes zero. */
+        command[m].effort = effort > limit ? limit : effort < -limit ? -limit : isnan(effort) ? 0.0f : effort;
     }
-    hal_drive_motors(order);
+    hal_drive_motors(command);
     hal_feed_watchdog();
 }
 
-/* Return a number on the line: the nearest, clipped; the least for NaN. */
+/* Return the nearest integer, clipped; the minimum for NaN. */
 static int32_t rounded(float number, float low, float high)
 {
     return (int32_t)(!(number > low) ? low : number > high ? high : roundf(number));
@@ -735,7 +736,7 @@ board_status board_show(void)
         .owner = board.owner,
         .command_time = board.command_time,
         .next_state = board.next_state,
-        .taken_until = taken_until(),
+        .reserved_until = reserved_until(),
         .frames = board.decoder.frames,
         .damaged = board.decoder.damaged,
         .foreign = board.decoder.foreign,
@@ -744,13 +745,13 @@ board_status board_show(void)
         .stale = board.stale,
     };
 
-    memcpy(status.order, board.order, sizeof(status.order));
+    memcpy(status.motor_values, board.motor_values, sizeof(status.motor_values));
     return status;
 }
 
 void board_run(void)
 {
-    uint8_t bytes[64]; /* so few that what arrives does not hold up the servo */
+    uint8_t bytes[64]; /* few enough not to delay the servo */
     uint64_t due;
 
     board_start();
@@ -763,7 +764,7 @@ void board_run(void)
         now = hal_time();
         if (now >= due) {
             board_tick();
-            /* A step that comes late is not made up for. */
+            /* A late step is not made up for. */
             due = (now - due < robot_handshake.servo_period ? due : now) + robot_handshake.servo_period;
         }
         hal_idle();

@@ -1,4 +1,4 @@
-/* A CAN bus with identifiers of 11 bits. */
+/* CAN bus with 11-bit identifiers. */
 #ifndef CAN_BUS_H
 #define CAN_BUS_H
 
@@ -12,11 +12,11 @@ typedef struct {
 } can_frame;
 
 void can_start(void);
-/* Drop all frames that have not left yet. */
+/* Discard all frames that have not been sent yet. */
 void can_clear(void);
-/* Put a frame on its way; false, if there is no room. */
+/* Queue a frame for sending; return false if there is no room. */
 bool can_send(const can_frame *frame);
-/* Take the oldest frame that has arrived; false, if there is none. */
+/* Read the oldest frame that has arrived; return false if there is none. */
 bool can_receive(can_frame *frame);
 
 #endif

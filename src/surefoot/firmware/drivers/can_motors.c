@@ -1,29 +1,31 @@
-/* Motors with drives of their own on a CAN bus: a template, for drives that take position, speed, kp, kd and torque in
- * one frame of 8 bytes, and answer each with position, speed, torque, temperature and error. Actuators made after those of
- * the MIT Mini Cheetah do (its own answer with 6 bytes). Their voltage is not in the frame: measure the battery's.
+/* Template for motors with their own drives on a CAN bus. A drive receives position, speed, kp, kd and torque in one
+ * frame of 8 bytes, and answers each with position, speed, torque, temperature and error. Many actuators modelled on
+ * the MIT Mini Cheetah do so (the original answers with 6 bytes). The voltage is not in the frame: measure the
+ * battery's.
  *
- * To adapt: identifiers, ranges and zeros below, by the drive's manual; then the layout, if its frames differ. A bus of
- * 1 Mbit/s carries four motors a millisecond: two frames of some 120 bits each. With more, use several buses, or a longer
- * servo_period in core/robot.h. Let the drives switch themselves off when no frame comes for some 20 ms.
+ * To adapt: set identifiers, ranges and zeros below from the manual of the drive, and the layout if its frames differ.
+ * A bus with 1 Mbit/s supports four motors per millisecond: two frames of some 120 bits each. For more motors, use
+ * several buses, or a longer servo_period in core/robot.h. Configure the drives to switch off if no frame arrives for
+ * some 20 ms.
  *
- * The drives close the servo's loop themselves, with the gains of core/robot.h and limits of their own. */
+ * The drives close the servo loop themselves, with the gains of core/robot.h and their own limits. */
 #include <math.h>
 
 #include "can_bus.h"
 #include "drivers.h"
 #include "hal.h"
 
-#define FIRST_ID 1u          /* of motor 0; the others follow */
-#define SWITCH_ON 0xFCu      /* the word that a drive is switched on with */
-#define SILENCE 10000u       /* us without an answer, after which a motor counts as off */
+#define FIRST_ID 1u          /* identifier of motor 0; the others follow */
+#define SWITCH_ON 0xFCu      /* command byte that switches a drive on */
+#define SILENCE 10000u       /* us without an answer after which a motor counts as off */
 #define MAX_ANGLE 12.5f      /* rad; frames hold -MAX to MAX */
 #define MAX_SPEED 45.0f      /* rad/s */
 #define MAX_TORQUE 24.0f     /* N m */
 #define MAX_KP 500.0f        /* N m/rad; frames hold 0 to MAX */
 #define MAX_KD 5.0f          /* N m s/rad */
-#define TEMPERATURE_OFFSET 0 /* degC that the byte 0 stands for */
+#define TEMPERATURE_OFFSET 0 /* degC of byte value 0 */
 
-/* Angle [rad] of this program when the drive reads 0, and 1 or -1 where the drive turns the other way. */
+/* Motor angle [rad] at which the drive reads 0, and direction: -1 if the drive turns the other way. */
 static const float zero[SUREFOOT_MOTORS] = {0};
 static const float direction[SUREFOOT_MOTORS] = {[0 ... SUREFOOT_MOTORS - 1] = 1.0f};
 
@@ -34,16 +36,16 @@ static struct {
     uint64_t time;
 } seen[SUREFOOT_MOTORS];
 
-/* A number from low to high as so many bits; the nearest that fits, 0 torque and gain for what is no number. */
+/* Encode a number between low and high with a number of bits: rounded and clipped; NaN becomes 0. */
 static uint32_t pack(float number, float low, float high, uint32_t bits)
 {
-    const uint32_t most = (1u << bits) - 1u;
+    const uint32_t maximum = (1u << bits) - 1u;
 
     if (!(number >= low)) {
         number = number < low ? low : 0.0f;
     }
     number = number > high ? high : number;
-    return (uint32_t)((number - low) / (high - low) * (float)most + 0.5f);
+    return (uint32_t)((number - low) / (high - low) * (float)maximum + 0.5f);
 }
 
 static float unpack(uint32_t number, float low, float high, uint32_t bits)
@@ -51,10 +53,10 @@ static float unpack(uint32_t number, float low, float high, uint32_t bits)
     return low + (high - low) * (float)number / (float)((1u << bits) - 1u);
 }
 
-/* Frames that a drive takes as words: seven bytes FF, and one that says what. Return whether there was room. */
-static bool send_word(uint16_t motor, uint8_t word)
+/* Send a special frame to a drive: seven bytes FF and a command byte. Return whether there was room. */
+static bool send_special(uint16_t motor, uint8_t command)
 {
-    const can_frame frame = {(uint16_t)(FIRST_ID + motor), 8, {0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, word}};
+    const can_frame frame = {(uint16_t)(FIRST_ID + motor), 8, {0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, command}};
 
     return can_send(&frame);
 }
@@ -73,7 +75,7 @@ static void take_answers(void)
         const uint32_t motor = (uint32_t)d[0] - FIRST_ID;
         uint32_t p, v, t;
 
-        /* The identifier of an answer is the master's, 0, or the drive's own. */
+        /* The identifier of an answer is 0 (the master's) or the drive's own. */
         if (frame.length != 8u || motor >= SUREFOOT_MOTORS || (frame.id != 0u && frame.id != d[0])) {
             continue;
         }
@@ -97,7 +99,7 @@ void start_motors(void)
 
 void hal_enable_motors(void)
 {
-    /* hal_drive_motors switches on what is silent, and at first all are. */
+    /* hal_drive_motors switches silent drives on, and at first all are silent. */
 }
 
 void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS], float torque[SUREFOOT_MOTORS])
@@ -121,17 +123,17 @@ void hal_read_temperatures(float temperature[SUREFOOT_MOTORS])
     }
 }
 
-void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
+void hal_drive_motors(const motor_command command[SUREFOOT_MOTORS])
 {
     uint16_t m;
 
-    can_clear(); /* what a bus has not carried in a servo period is old: one that returns must not bring it */
+    can_clear(); /* frames not sent within a servo period are outdated: a bus that recovers must not send them */
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
-        const float angle = direction[m] * (order[m].target - zero[m]);
+        const float angle = direction[m] * (command[m].target - zero[m]);
         const uint32_t p = pack(angle, -MAX_ANGLE, MAX_ANGLE, 16), v = pack(0.0f, -MAX_SPEED, MAX_SPEED, 12);
-        const uint32_t kp = pack(isnan(angle) ? 0.0f : order[m].kp, 0.0f, MAX_KP, 12);
-        const uint32_t kd = pack(order[m].kd, 0.0f, MAX_KD, 12);
-        const uint32_t t = pack(direction[m] * order[m].feedforward, -MAX_TORQUE, MAX_TORQUE, 12);
+        const uint32_t kp = pack(isnan(angle) ? 0.0f : command[m].kp, 0.0f, MAX_KP, 12);
+        const uint32_t kd = pack(command[m].kd, 0.0f, MAX_KD, 12);
+        const uint32_t t = pack(direction[m] * command[m].feedforward, -MAX_TORQUE, MAX_TORQUE, 12);
         const can_frame frame = {
             (uint16_t)(FIRST_ID + m),
             8,
@@ -139,9 +141,9 @@ void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
              (uint8_t)(kd >> 4), (uint8_t)((kd & 15u) << 4 | t >> 8), (uint8_t)t},
         };
 
-        /* A drive that was without power is off. The order follows, should it hear and not be heard. */
-        if (!is_silent(m) || send_word(m, SWITCH_ON)) {
-            (void)can_send(&frame); /* one that the bus has no room for is lost; a newer one follows */
+        /* A drive that had no power is off. The command follows, in case only the answers of the drive are lost. */
+        if (!is_silent(m) || send_special(m, SWITCH_ON)) {
+            (void)can_send(&frame); /* lost if there is no room; a newer one follows */
         }
     }
 }

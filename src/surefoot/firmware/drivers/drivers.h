@@ -1,4 +1,4 @@
-/* Drivers of a robot's motors, IMU and battery. They have those functions of hal.h that stm32f4/hal.c lacks. */
+/* Drivers of motors, IMU and battery. They implement the functions of hal.h that are not in stm32f4/hal.c. */
 #ifndef DRIVERS_H
 #define DRIVERS_H
 

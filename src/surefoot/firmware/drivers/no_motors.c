@@ -1,4 +1,4 @@
-/* No motors: where to begin. The link works, `surefoot doctor` sees the robot, and it does not arm.
+/* Starting point without motors. The link works and `surefoot doctor` finds the robot, but it cannot be armed.
  *
  * Replace the functions one by one, in the order of README.md: readings first, hal_drive_motors last. */
 #include <math.h>
@@ -17,13 +17,13 @@ void hal_read_motors(float angle[SUREFOOT_MOTORS], float speed[SUREFOOT_MOTORS],
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
         angle[m] = NAN;   /* rad, in the order and with the signs of core/robot.h */
         speed[m] = NAN;   /* rad/s */
-        torque[m] = 0.0f; /* N m, of the current */
+        torque[m] = 0.0f; /* N m, from the current */
     }
 }
 
-void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
+void hal_drive_motors(const motor_command command[SUREFOOT_MOTORS])
 {
-    (void)order; /* a plain drive takes `effort`, one with a PD law of its own the other numbers */
+    (void)command; /* a plain drive uses `effort`, a drive with its own PD control the other values */
 }
 
 void hal_enable_motors(void)

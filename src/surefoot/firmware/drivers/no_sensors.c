@@ -1,4 +1,4 @@
-/* Neither IMU nor battery: where to begin. What is NaN keeps the robot from arming. */
+/* Starting point without IMU and battery. NaN readings prevent the robot from arming. */
 #include <math.h>
 
 #include "drivers.h"

@@ -1,14 +1,15 @@
-/* The board's program when its surroundings are another program: surefoot's emulator.
+/* Hardware abstraction of the board's program for surefoot's emulator, which drives it by events.
  *
- * Events come by read_event, each answered by write_answer before the next one. Numbers are little-endian and packed.
- * An event is
+ * Events are read by read_event, and each is answered by write_answer before the next one. Numbers are little-endian
+ * and packed. An event is
  *
- *     u8   what: 'T' a servo step, 'R' a state may be due, 'B' bytes of the line have come
+ *     u8   type: 'T' servo step, 'R' a state may be due, 'B' bytes have arrived on the serial line
  *     u64  time [us]
- *     u16  size of what follows: readings for T and R, bytes of the line for B
+ *     u16  size of the content: readings for T and R, bytes of the line for B
+ *     content
  *
- * and the answer a struct `answer`, followed by the bytes for the line. Before the first event the program writes its
- * schema (u32) and its robot's name (24 bytes). Time passes with events alone. */
+ * and the answer is a struct `answer`, followed by the bytes to send on the line. Before the first event the program
+ * writes its schema (u32) and the name of its robot (24 bytes). Time advances only with events. */
 #include "events.h"
 
 #include <string.h>
@@ -27,9 +28,9 @@ typedef struct {
 typedef struct {
     uint8_t mode, reason;
     uint16_t owner;
-    uint64_t command_time, next_state, taken_until;
+    uint64_t command_time, next_state, reserved_until;
     uint32_t frames, damaged, foreign, unknown, old_numbers, stale;
-    float effort[SUREFOOT_MOTORS], order[SUREFOOT_MOTORS];
+    float effort[SUREFOOT_MOTORS], motor_values[SUREFOOT_MOTORS];
     uint8_t enabled;
     uint32_t watchdog; /* us; 0: none */
     uint32_t cycles; /* of the event */
@@ -61,7 +62,7 @@ size_t hal_read_line(uint8_t *bytes, size_t room)
 {
     (void)bytes;
     (void)room;
-    return 0; /* events bring them */
+    return 0; /* they arrive by events */
 }
 
 bool hal_write_line(const uint8_t *bytes, size_t size)
@@ -74,12 +75,12 @@ bool hal_write_line(const uint8_t *bytes, size_t size)
     return true;
 }
 
-void hal_drive_motors(const motor_order order[SUREFOOT_MOTORS])
+void hal_drive_motors(const motor_command command[SUREFOOT_MOTORS])
 {
     size_t m;
 
     for (m = 0; m < SUREFOOT_MOTORS; m++) {
-        driven[m] = order[m].effort;
+        driven[m] = command[m].effort;
     }
 }
 
@@ -90,7 +91,7 @@ void hal_enable_motors(void)
 
 void hal_start_watchdog(uint32_t microseconds)
 {
-    watchdog = microseconds; /* the emulator has one */
+    watchdog = microseconds; /* the emulator implements it */
 }
 
 void hal_feed_watchdog(void)
@@ -106,7 +107,7 @@ static void reply(uint32_t cycles)
         .owner = status.owner,
         .command_time = status.command_time,
         .next_state = status.next_state,
-        .taken_until = status.taken_until,
+        .reserved_until = status.reserved_until,
         .frames = status.frames,
         .damaged = status.damaged,
         .foreign = status.foreign,
@@ -120,7 +121,7 @@ static void reply(uint32_t cycles)
     };
 
     memcpy(made.effort, driven, sizeof(driven));
-    memcpy(made.order, status.order, sizeof(status.order));
+    memcpy(made.motor_values, status.motor_values, sizeof(status.motor_values));
     write_answer(&made, sizeof(made));
     write_answer(out, out_size);
     out_size = 0;
@@ -155,10 +156,10 @@ void run_events(void)
                 board_tick();
             } else {
                 board_report();
-                seen = of_servo; /* a state's readings may be older or noisier */
+                seen = of_servo; /* readings of a state are delayed and noisy */
             }
         } else {
-            return; /* it is not the emulator, or that of another robot */
+            return; /* not the emulator, or the emulator of another robot */
         }
         reply(read_cycles() - before);
     }

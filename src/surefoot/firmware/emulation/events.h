@@ -1,4 +1,4 @@
-/* What the board's program needs to be run by surefoot's emulator: see events.c. */
+/* Interface to surefoot's emulator; see events.c. */
 #ifndef EVENTS_H
 #define EVENTS_H
 
@@ -6,13 +6,13 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* Wait for so many bytes of the emulator; return whether they have come. */
+/* Wait for `size` bytes from the emulator; return whether they have arrived. */
 bool read_event(void *bytes, size_t size);
 void write_answer(const void *bytes, size_t size);
-/* Cycles of the processor, modulo 2^24; 0 where nobody counts them. */
+/* Processor cycles, modulo 2^24; 0 if they are not counted. */
 uint32_t read_cycles(void);
 
-/* Run the board's program until no event comes any more. */
+/* Run the board's program until the events end. */
 void run_events(void);
 
 #endif

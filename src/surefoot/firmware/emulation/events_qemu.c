@@ -1,5 +1,5 @@
-/* The board's program on an STM32F405 in QEMU, run by the events of surefoot's emulator. They go through QEMU's own
- * standard input and output: a serial line of QEMU takes some 40 us a byte. */
+/* The board's program on an STM32F405 in QEMU, driven by events of surefoot's emulator. They use the standard input and
+ * output of QEMU, since its serial line takes some 40 us per byte. */
 #include "events.h"
 #include "registers.h"
 #include "semihosting.h"

@@ -1,4 +1,4 @@
-/* Readings of motors and sensors that a program around the board's has sent. */
+/* Sensor readings sent by the program that runs the board's program. */
 #ifndef READINGS_H
 #define READINGS_H
 

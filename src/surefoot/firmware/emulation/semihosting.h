@@ -1,4 +1,4 @@
-/* Standard input and output of QEMU, for a program in it: Arm's semihosting. */
+/* Standard input and output of QEMU for a program that runs in it, by Arm semihosting. */
 #ifndef SEMIHOSTING_H
 #define SEMIHOSTING_H
 
@@ -6,9 +6,9 @@
 #include <stddef.h>
 
 void open_host(void);
-/* Wait for so many bytes; return whether they have come. */
+/* Wait for `size` bytes; return whether they have arrived. */
 bool read_host(void *bytes, size_t size);
-/* Write bytes; end QEMU, if nobody reads them. */
+/* Write bytes; end QEMU if they are not read. */
 void write_host(const void *bytes, size_t size);
 void end_host(void);
 

@@ -1,4 +1,4 @@
-/* The board's program as a process of this computer: events on its standard input, answers on its standard output. */
+/* The board's program as a process on this computer: events on standard input, answers on standard output. */
 #include <stdio.h>
 #include <stdlib.h>
 
@@ -13,7 +13,7 @@ bool read_event(void *bytes, size_t size)
 void write_answer(const void *bytes, size_t size)
 {
     if (size > 0 && fwrite(bytes, size, 1, stdout) != 1) {
-        exit(1); /* nobody reads it */
+        exit(1); /* the emulator has ended */
     }
 }
 

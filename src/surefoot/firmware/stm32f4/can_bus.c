@@ -1,5 +1,5 @@
-/* CAN1 of an STM32F405 at 1 Mbit/s, pins B8 (in) and B9 (out). No emulator here has this peripheral: it was compiled,
- * not run. */
+/* CAN1 of an STM32F405 at 1 Mbit/s, pins B8 (in) and B9 (out). The emulator lacks this peripheral: this file was
+ * compiled, but not run. */
 #include "can_bus.h"
 
 #include "registers.h"
@@ -46,7 +46,7 @@ static void send_some(void)
     }
 }
 
-/* Mailboxes are empty. */
+/* A mailbox is empty. */
 void can_transmit_interrupt(void)
 {
     CAN_TSR = 1u | 1u << 8 | 1u << 16;
@@ -56,7 +56,7 @@ void can_transmit_interrupt(void)
 void can_receive_interrupt(void)
 {
     while ((CAN_RF0R & 3u) != 0u) {
-        /* Others than data with an identifier of 11 bits are left out, and what there is no room for. */
+        /* Frames are dropped if they are not data frames with an 11-bit identifier, or if there is no room. */
         if (received - taken < RING && (CAN_RIR & 6u) == 0u && (CAN_RDTR & 15u) <= 8u) {
             can_frame *const frame = &in[received % RING];
             const uint32_t low = CAN_RDLR, high = CAN_RDHR;
@@ -87,22 +87,22 @@ void can_start(void)
     CAN_MCR = 1u; /* initialize */
     while ((CAN_MSR & 1u) == 0u && --left > 0u) {
     }
-    CAN_BTR = 2u | (10u << 16) | (1u << 20); /* 42 MHz / 3, 14 parts a bit, sampled after 12 */
+    CAN_BTR = 2u | (10u << 16) | (1u << 20); /* 42 MHz / 3, 14 time quanta per bit, sampled after 12 */
     CAN_FMR = 1u;
     CAN_FS1R = 1u;
-    CAN_F0R1 = CAN_F0R2 = 0; /* every frame */
+    CAN_F0R1 = CAN_F0R2 = 0; /* accept every frame */
     CAN_FA1R = 1u;
     CAN_FMR = 0;
     CAN_IER = 1u | 1u << 1;
     NVIC_ISER(0) = 1u << CAN1_TX_IRQ | 1u << CAN1_RX0_IRQ;
-    CAN_MCR = 1u << 6 | 1u << 2; /* go on after errors; frames leave in the order of their requests */
+    CAN_MCR = 1u << 6 | 1u << 2; /* recover after errors; frames are sent in the order of their requests */
 }
 
 void can_clear(void)
 {
-    NVIC_ICER(0) = 1u << CAN1_TX_IRQ; /* its interrupt sends */
+    NVIC_ICER(0) = 1u << CAN1_TX_IRQ; /* the interrupt also sends frames */
     sent = written;
-    CAN_TSR = 1u << 7 | 1u << 15 | 1u << 23; /* of the mailboxes: one that is leaving stays */
+    CAN_TSR = 1u << 7 | 1u << 15 | 1u << 23; /* abort the mailboxes, except a frame that is being sent */
     NVIC_ISER(0) = 1u << CAN1_TX_IRQ;
 }
 
@@ -113,7 +113,7 @@ bool can_send(const can_frame *frame)
     }
     out[written % RING] = *frame;
     written++;
-    NVIC_ICER(0) = 1u << CAN1_TX_IRQ; /* its interrupt sends too */
+    NVIC_ICER(0) = 1u << CAN1_TX_IRQ; /* the interrupt also sends frames */
     send_some();
     NVIC_ISER(0) = 1u << CAN1_TX_IRQ;
     return true;

@@ -1,4 +1,4 @@
-/* The board of hal.h on an STM32F405: clock, serial line (USART1, pins A9 and A10) and watchdog, without any library.
+/* Implementation of hal.h on an STM32F405 without a library: clock, serial line (USART1, pins A9, A10), watchdog.
  * Motors and sensors are in drivers/. */
 #include "hal.h"
 
@@ -7,12 +7,12 @@
 #include "registers.h"
 
 #define CLOCK 168u /* MHz */
-#define STEP 250u  /* us between two interrupts of the system timer: states are sent that exactly */
+#define STEP 250u  /* us between two interrupts of the system timer: timing accuracy of states */
 #define RING 1024u /* bytes; a power of two */
 
 static volatile uint64_t steps;
-static volatile uint32_t received, sent; /* bytes that have come, and that have left */
-static uint32_t taken, written;          /* of these, read by the program; and put on their way */
+static volatile uint32_t received, sent; /* number of bytes received and sent */
+static uint32_t taken, written;          /* number of bytes read and written by the program */
 static volatile uint8_t in[RING];
 static uint8_t out[RING];
 
@@ -26,7 +26,7 @@ void line_interrupt(void)
     if ((USART_SR(USART1) & USART_SR_RXNE) != 0u) {
         const uint8_t byte = (uint8_t)USART_DR(USART1);
 
-        if (received - taken < RING) { /* otherwise it is lost, and its frame is damaged */
+        if (received - taken < RING) { /* otherwise the byte is lost, and its frame damaged */
             in[received % RING] = byte;
             received++;
         }
@@ -60,11 +60,11 @@ uint64_t hal_time(void)
         left = SYST_CVR;
     } while (before != steps);
     now = before * STEP + (CLOCK * STEP - 1u - left) / CLOCK;
-    last = now > last ? now : last; /* the timer may have begun anew before its interrupt came */
+    last = now > last ? now : last; /* the timer may have restarted before its interrupt was handled */
     return last;
 }
 
-/* The interrupt of an empty transmitter is left out: the program comes here every few microseconds. */
+/* No interrupt of an empty transmitter is needed: this function is called every few microseconds. */
 static void send_some(void)
 {
     while (sent != written && (USART_SR(USART1) & USART_SR_TXE) != 0u) {

@@ -19,7 +19,7 @@
 #define GPIOA_MODER REGISTER(0x40020000u)
 #define GPIOA_AFRH REGISTER(0x40020024u)
 
-/* Serial line, on the bus APB2 of 84 MHz. */
+/* Serial line, on bus APB2 at 84 MHz. */
 #define USART1 0x40011000u
 #define USART_SR(base) REGISTER((base) + 0x00u)
 #define USART_DR(base) REGISTER((base) + 0x04u)
@@ -38,7 +38,7 @@
 #define IWDG_PR REGISTER(0x40003004u)
 #define IWDG_RLR REGISTER(0x40003008u)
 
-/* The core: system timer, interrupts, floating point. */
+/* Core: system timer, interrupts, floating point. */
 #define SYST_CSR REGISTER(0xE000E010u)
 #define SYST_RVR REGISTER(0xE000E014u)
 #define SYST_CVR REGISTER(0xE000E018u)

@@ -1,4 +1,4 @@
-/* From power-on to main: vectors, variables, floating point, clock of 168 MHz. */
+/* Startup code from power-on to main: vectors, variables, floating-point unit, 168 MHz clock. */
 #include <stdint.h>
 
 #include "registers.h"
@@ -12,7 +12,7 @@ void line_interrupt(void);
 __attribute__((weak)) void can_transmit_interrupt(void);
 __attribute__((weak)) void can_receive_interrupt(void);
 
-/* An interrupt that should not come, or a fault of the core: begin anew. */
+/* Restart after an unexpected interrupt or a fault of the core. */
 static void restart(void)
 {
     SCB_AIRCR = 0x05FA0004u;
@@ -32,7 +32,7 @@ __attribute__((section(".vectors"), used)) static void (*const vectors[16 + USAR
     [16 + USART1_IRQ] = line_interrupt,
 };
 
-/* Wait until a bit is set, for a while: a crystal that does not start leaves the internal clock. */
+/* Wait until bits are set, for a limited time: without a crystal, the internal clock stays in use. */
 static uint32_t wait_for(volatile uint32_t *at, uint32_t bits)
 {
     uint32_t left = 100000;
@@ -42,12 +42,12 @@ static uint32_t wait_for(volatile uint32_t *at, uint32_t bits)
     return left;
 }
 
-/* 168 MHz of a crystal of 8 MHz: 8 / 8 * 336 / 2; APB1 at 42 MHz, APB2 at 84 MHz. */
+/* 168 MHz from an 8 MHz crystal: 8 / 8 * 336 / 2; APB1 at 42 MHz, APB2 at 84 MHz. */
 static void start_clock(void)
 {
     RCC_CR |= 1u << 16; /* crystal */
     if (wait_for(&RCC_CR, 1u << 17) == 0u) {
-        return; /* as in QEMU, which has no such register and runs at 168 MHz */
+        return; /* as in QEMU, which lacks this register and runs at 168 MHz */
     }
     FLASH_ACR = (7u << 8) | 5u; /* caches, prefetch, 5 wait states */
     RCC_PLLCFGR = 8u | (336u << 6) | (0u << 16) | (1u << 22) | (7u << 24);

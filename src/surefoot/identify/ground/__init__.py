@@ -1,1 +1,1 @@
-"""Experiments on a robot that stands on the ground: plans, motion, inverse dynamics, fits."""
+"""Experiments with a robot that stands on the ground: plans, smoothed motion, inverse dynamics, fits."""

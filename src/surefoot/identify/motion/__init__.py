@@ -1,1 +1,1 @@
-"""Recorded motion, from traces of deployments and from anybody's logs, and the fits to it."""
+"""Recorded motion from deployment traces and third-party logs, and fits of physical parameters to it."""

@@ -1,7 +1,7 @@
-"""Tables of numbers in foreign files: NPZ, CSV, pickle, tensors of torch, MCAP and ROS bags.
+"""Reader of numeric tables in third-party files: NPZ, CSV, pickle, torch tensors, Parquet, MCAP and ROS bags.
 
-An array of several dimensions is one column for each of its places: `name[3]`, `name[1,2]`. A message's field is
-`topic.field[3]`. Files are not trusted: of pickles nothing is built but numbers, texts, lists, tables and arrays.
+Each element of a multidimensional array becomes a column: `name[3]`, `name[1,2]`. A message field becomes
+`topic.field[3]`. Files are not trusted: a pickle may contain only numbers, strings, lists, dictionaries and arrays.
 """
 
 from __future__ import annotations
@@ -19,45 +19,75 @@ from typing import Any
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError, describe_os_errors
+from surefoot.errors import SurefootError, choices, describe_os_errors
 from surefoot.files import check_readable
+from surefoot.identify.motion.parquet_file import read_parquet
 from surefoot.identify.motion.torch_file import read_tensors
 from surefoot.npz import read_npz
 
 FILE_BYTES = 1 << 28
-"""Size of the largest file that is read."""
+"""Maximum size of a file [bytes]."""
 MAX_COLUMNS = 4096
 MAX_NUMBERS = 1 << 27
 MAX_ITEMS = 1 << 24
-"""Numbers, texts, lists and tables of a pickle: a few bytes of it can name a list many times over."""
+"""Maximum number of objects in a pickle, counted with repetition: a few bytes can refer to a list many times."""
 _MAX_DEPTH = 8
+_MAX_LISTED = 30
+"""Maximum number of column names listed in a message."""
 
 
 @dataclass(frozen=True)
 class ColumnTable:
-    """Columns of numbers (T,) by name."""
+    """Table of T rows of numbers, with named columns."""
 
     columns: dict[str, Array]
+    """Columns (T,) by name."""
     time: Array | None = None
-    """The recorder's own times (T,) [s], of a bag."""
+    """Time stamps of the recorder (T,) [s], if the file is a bag."""
 
     @property
     def rows(self) -> int:
         """Number of rows T."""
         return len(next(iter(self.columns.values())))
 
+    def where(self, values: Mapping[str, float]) -> ColumnTable:
+        """Return the rows in which columns have these values.
+
+        Raises:
+            SurefootError: no such column, or no such row.
+        """
+        table = self
+        for name, value in values.items():
+            rows = table.column(name) == value
+            if not rows.any():
+                seen = np.unique(table.column(name))
+                raise SurefootError(f"has no rows with {name} {value:g}; {name} is {seen[0]:g} to {seen[-1]:g}")
+            columns = {key: column[rows] for key, column in table.columns.items()}
+            table = ColumnTable(columns, None if table.time is None else table.time[rows])
+        return table
+
+    def column(self, name: str) -> Array:
+        """Return a column (T,).
+
+        Raises:
+            SurefootError: no column of this name.
+        """
+        if name not in self.columns:
+            raise SurefootError(f"has no column '{name}'; columns: {choices(list(self.columns)[:_MAX_LISTED])}")
+        return self.columns[name]
+
 
 def read_table(path: Path) -> ColumnTable:
-    """Read a file by the suffix of its name.
+    """Read a table from a file of the kind given by its suffix.
 
     Raises:
-        SurefootError: no such file, another kind, or one that holds no table; without its path.
+        SurefootError: the file is missing, of another kind, or holds no table. The message does not name the path.
     """
     suffix = path.suffix.lower()
     if is_bag(path):
         return _read_bag(path)
     readers = {".npz": _read_npz, ".csv": read_csv, ".pkl": _read_pickle, ".pickle": _read_pickle}
-    readers |= dict.fromkeys((".pt", ".pth"), _read_torch)
+    readers |= dict.fromkeys((".pt", ".pth"), _read_torch) | {".parquet": _read_parquet}
     if suffix not in readers:
         raise SurefootError(f"is of kind '{suffix}'; kinds: {', '.join(readers)}, .mcap, .bag, or the folder of a bag")
     with describe_os_errors("it"):
@@ -66,7 +96,7 @@ def read_table(path: Path) -> ColumnTable:
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path is that of a bag: by its suffix, or a folder."""
+    """Return whether a path is a bag: a folder, or a file with the suffix of a bag."""
     return path.is_dir() or path.suffix.lower() in (".mcap", ".bag", ".db3")
 
 
@@ -80,8 +110,12 @@ def _read_torch(path: Path) -> ColumnTable:
     )
 
 
+def _read_parquet(path: Path) -> ColumnTable:
+    return _table_from_arrays(read_parquet(path, MAX_NUMBERS))
+
+
 def _table_from_arrays(arrays: Mapping[Any, Any]) -> ColumnTable:
-    """Return arrays by name as a table; those that are not a row for each time are left out."""
+    """Return a table of the numeric arrays that have the most common length; other arrays are left out."""
     numbers = {str(key): np.asarray(value) for key, value in arrays.items()}
     numbers = {key: array for key, array in numbers.items() if array.dtype.kind in "biuf" and array.ndim and array.size}
     lengths = [len(array) for array in numbers.values()]
@@ -93,29 +127,29 @@ def _table_from_arrays(arrays: Mapping[Any, Any]) -> ColumnTable:
         if len(array) != rows:
             continue
         if array.size > rows * MAX_COLUMNS or array.size > MAX_NUMBERS:
-            raise SurefootError(f"{name} has shape {array.shape}; it is too large")
+            raise SurefootError(f"{name} has shape {array.shape}, which is too large")
         flat = array.reshape(rows, -1).astype(float)
-        columns |= {_place_name(name, place): flat[:, k] for k, place in enumerate(np.ndindex(array.shape[1:]))}
+        columns |= {_element_name(name, index): flat[:, k] for k, index in enumerate(np.ndindex(array.shape[1:]))}
     return ColumnTable(columns)
 
 
-def _place_name(name: str, place: tuple[int, ...]) -> str:
-    return name + (f"[{','.join(map(str, place))}]" if place else "")
+def _element_name(name: str, index: tuple[int, ...]) -> str:
+    return name + (f"[{','.join(map(str, index))}]" if index else "")
 
 
 def read_csv(path: Path, names: Sequence[str] | None = None) -> ColumnTable:
-    """Read a CSV file whose first line names the columns, if names are not given; texts that are no numbers are NaN."""
+    """Read a CSV file. Column names default to the first line; text that is not a number becomes NaN."""
     lines = csv.reader(io.StringIO(path.read_text(encoding="utf-8-sig", errors="replace")))
     first, rule = (2, "the first line names") if names is None else (1, "it must have")
     try:
         names = [name.strip() for name in next(lines, [])] if names is None else names
         rows = [line for line in lines if line]
     except csv.Error as error:
-        raise SurefootError(f"is no CSV file: {error}") from error
+        raise SurefootError(f"is not a CSV file: {error}") from error
     if not names or not rows or len(names) > MAX_COLUMNS:
         raise SurefootError(f"has {len(names)} columns and {len(rows)} rows; the first line names 1 to {MAX_COLUMNS}")
     if len(set(names)) != len(names):
-        raise SurefootError("has columns of one name; names must differ")
+        raise SurefootError("has several columns with the same name; names must differ")
     for number, row in enumerate(rows, first):
         if len(row) != len(names):
             raise SurefootError(f"line {number} has {len(row)} values; {rule} {len(names)}")
@@ -129,12 +163,12 @@ def _number(text: str) -> float:
         return float("nan")
 
 
-class _ArrayClass:
-    """Stands for numpy's ndarray class in a pickle, which only names it."""
+class _NdarrayClass:
+    """Placeholder for NumPy's ndarray class, which pickles only refer to."""
 
 
 class _PickledArray:
-    """An array of a pickle, filled by its state: version, shape, dtype, order, bytes."""
+    """Array of a pickle, filled from its pickled state: version, shape, dtype, order, bytes."""
 
     def __init__(self, *_: Any) -> None:
         self.value = np.zeros(0)
@@ -168,7 +202,7 @@ _SAFE_CLASSES: dict[tuple[str, str], Any] = {
     **{(f"numpy.{core}.multiarray", "_reconstruct"): _PickledArray for core in ("core", "_core")},
     **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")},
     **{(f"numpy.{core}.numeric", "_frombuffer"): _from_buffer for core in ("core", "_core")},
-    ("numpy", "ndarray"): _ArrayClass,
+    ("numpy", "ndarray"): _NdarrayClass,
     ("numpy", "dtype"): _dtype,
     ("_codecs", "encode"): lambda text, kind="latin1": str(text).encode("latin1"),
     ("collections", "OrderedDict"): dict,
@@ -176,20 +210,20 @@ _SAFE_CLASSES: dict[tuple[str, str], Any] = {
 
 
 class _Unpickler(pickle.Unpickler):
-    """Builds numbers, texts, lists, tables and arrays, and nothing else."""
+    """Unpickler that builds only numbers, strings, lists, dictionaries and arrays."""
 
     def find_class(self, module: str, name: str) -> Any:
         if (module, name) not in _SAFE_CLASSES:
-            raise pickle.UnpicklingError(f"it names {module}.{name}, which is not read")
+            raise pickle.UnpicklingError(f"it refers to {module}.{name}, which is not allowed")
         return _SAFE_CLASSES[module, name]
 
 
 def _read_pickle(path: Path) -> ColumnTable:
     content = path.read_bytes()
     try:
-        data = _plain(_Unpickler(io.BytesIO(content)).load(), itertools.count())
+        data = _unwrap_arrays(_Unpickler(io.BytesIO(content)).load(), itertools.count())
     except Exception as error:  # a pickle is a program: any error is possible
-        raise SurefootError(f"is no pickle of numbers: {' '.join(str(error).split())}") from error
+        raise SurefootError(f"is not a pickle of numbers: {' '.join(str(error).split())}") from error
     if isinstance(data, list) and data and all(isinstance(row, dict) for row in data):
         rows = [dict(_flatten(row)) for row in data]
         names = list(dict.fromkeys(name for row in rows for name in row))[:MAX_COLUMNS]
@@ -199,28 +233,32 @@ def _read_pickle(path: Path) -> ColumnTable:
     try:
         return _table_from_arrays(data if isinstance(data, dict) else {"data": np.asarray(data, float)})
     except (TypeError, ValueError) as error:
-        raise SurefootError(f"is no table: {' '.join(str(error).split())}") from error
+        raise SurefootError(f"is not a table: {' '.join(str(error).split())}") from error
 
 
-def _plain(data: Any, items: Iterator[int], depth: int = 0) -> Any:
-    """Return a pickle's data with numpy's arrays in place of `_PickledArray`; refuse too deep and too large ones."""
+def _unwrap_arrays(data: Any, items: Iterator[int], depth: int = 0) -> Any:
+    """Replace each `_PickledArray` in a pickle's data by its NumPy array.
+
+    Raises:
+        ValueError: the data are nested too deeply or hold too many items.
+    """
     if depth > _MAX_DEPTH or next(items) >= MAX_ITEMS:
         raise ValueError("it is nested too deeply" if depth > _MAX_DEPTH else f"it holds more than {MAX_ITEMS} items")
     if isinstance(data, _PickledArray):
         return data.value
     if isinstance(data, dict):
-        return {key: _plain(value, items, depth + 1) for key, value in data.items()}
-    return [_plain(value, items, depth + 1) for value in data] if isinstance(data, list | tuple) else data
+        return {key: _unwrap_arrays(value, items, depth + 1) for key, value in data.items()}
+    return [_unwrap_arrays(value, items, depth + 1) for value in data] if isinstance(data, list | tuple) else data
 
 
 def _flatten(data: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, float]]:
-    """Yield the numbers in a table, message or array, by name."""
+    """Yield the name and value of each number in a dictionary, message, list or array."""
     if depth > _MAX_DEPTH:
         return
     if isinstance(data, bool | int | float | np.number):
         yield name, float(data)
     elif isinstance(data, np.ndarray) and data.dtype.kind in "biuf" and data.size <= MAX_COLUMNS:
-        yield from ((_place_name(name, place), float(data[place])) for place in np.ndindex(data.shape))
+        yield from ((_element_name(name, index), float(data[index])) for index in np.ndindex(data.shape))
     elif isinstance(data, list | tuple) and len(data) <= MAX_COLUMNS:
         for k, value in enumerate(data):
             yield from _flatten(value, f"{name}[{k}]", depth + 1)
@@ -232,10 +270,11 @@ def _flatten(data: Any, name: str = "", depth: int = 0) -> Iterator[tuple[str, f
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[Any]:
-    """Open a bag: the folder of a ROS 2 bag, an MCAP file, or a file of ROS 1; yield an `AnyReader` of rosbags.
+    """Open a bag (folder of a ROS 2 bag, MCAP file, or ROS 1 bag file) and yield an `AnyReader` of rosbags.
 
     Raises:
-        SurefootError: no such file, or one that is no bag, wherever in it that shows; without its path.
+        SurefootError: the bag is missing or can't be read, also while it is iterated. The message does not name the
+            path.
     """
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
@@ -250,12 +289,12 @@ def open_bag(path: Path) -> Iterator[Any]:
             yield reader
     except SurefootError:
         raise
-    except Exception as error:  # the reader has errors of many kinds, not all of them its own
-        raise SurefootError(f"is no bag: {' '.join(str(error).split())}") from error
+    except Exception as error:  # rosbags raises errors of many types, not only its own
+        raise SurefootError(f"is not a bag: {' '.join(str(error).split())}") from error
 
 
 def _read_bag(path: Path) -> ColumnTable:
-    """Read a bag: a row for each time of a message, each column with its newest value; NaN before its first message."""
+    """Read a bag: one row per message, with the newest value of every column, or NaN before its first message."""
     rows: list[tuple[float, dict[str, float]]] = []
     with open_bag(path) as reader:
         for connection, stamp, raw in reader.messages():

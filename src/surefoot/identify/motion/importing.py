@@ -1,15 +1,16 @@
-"""Import of foreign logs, by a mapping of columns.
+"""Import of third-party logs with a mapping from columns to motors and IMU.
 
-    # mapping.yaml; all but motors may be left out
-    time: {column: time, unit: s}                # s, ms, us, ns; the recorder's own times of a bag, if left out
-    unit: rad                                    # of angles: rad or deg; speeds are these per second
-    motors:                                      # for each motor of the robot, in any order
+    # mapping.yaml; only motors is required
+    time: {column: time, unit: s}                # s, ms, us or ns; defaults to the recorder's own times of a bag
+    unit: rad                                    # of angles: rad or deg; speeds are per second
+    motors:                                      # every motor of the robot, in any order
       rightFrontLegMotor: {command: "command[0]", angle: "motor_angle[0]", sign: 1, offset: 0.0}
     imu: {roll: "imu[0]", pitch: "imu[1]", roll_rate: "imu[2]", pitch_rate: "imu[3]", unit: rad, sign: 1}
+    rows: {episode_index: 3}                     # only rows with this value, of a file with several runs
 
-A motor's angle is sign x column + offset, its command too; `velocity` and `torque` may be mapped beside them. Readings
-without a column are NaN; so are the commands of a log of states, in whose mapping no motor has one. Times and rows stay
-as they are, uneven and repeated ones too.
+Angle and command of a motor are sign x column + offset; `velocity` and `torque` may also be mapped. Readings without a
+column are NaN. A log of states has no commands: its mapping leaves out `command` for every motor, and commands are NaN.
+Times and rows are imported unchanged, even if they are uneven or repeated.
 """
 
 from __future__ import annotations
@@ -30,12 +31,11 @@ from surefoot.robot import RobotDescription
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 ANGLE_UNITS = {"rad": 1.0, "deg": float(np.pi / 180)}
-_SHOWN = 30
 
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """The column of times."""
+    """Column of times."""
 
     column: str
     unit: Literal["s", "ms", "us", "ns"] = "s"
@@ -43,21 +43,21 @@ class TimeColumn:
 
 @dataclass(frozen=True)
 class MotorColumns:
-    """The columns of one motor."""
+    """Columns of one motor."""
 
     command: str | None = None
-    """Left out for every motor of a log of states."""
+    """Column of commands; left out for every motor of a log of states."""
     angle: str | None = None
     velocity: str | None = None
     torque: str | None = None
     sign: Literal[-1, 1] = 1
     offset: float = 0.0
-    """Added to angles and commands [rad], after unit and sign."""
+    """Offset added to angles and commands after unit and sign [rad]."""
 
 
 @dataclass(frozen=True)
 class ImuColumns:
-    """The columns of the IMU: the base's attitude, yaw about z, pitch about y, then roll about x, and rates in it."""
+    """Columns of the IMU: orientation of the base (yaw about z, pitch about y, then roll about x) and body rates."""
 
     roll: str | None = None
     pitch: str | None = None
@@ -71,16 +71,18 @@ class ImuColumns:
 
 @dataclass(frozen=True)
 class LogMapping:
-    """The columns of a log."""
+    """Mapping from the columns of a log to motors and IMU."""
 
     motors: dict[str, MotorColumns]
     time: TimeColumn | None = None
     unit: Literal["rad", "deg"] = "rad"
     imu: ImuColumns = field(default_factory=ImuColumns)
+    rows: dict[str, float] = field(default_factory=dict)
+    """Values of columns in the rows that are taken; all rows, if left out."""
 
 
 def default_mapping(robot: RobotDescription) -> LogMapping:
-    """Return the mapping of a file with arrays time, command, motor_angle and imu, all in the robot's own order."""
+    """Return the mapping of a file with arrays time, command, motor_angle and imu, with motors in the robot's order."""
     motors = {name: MotorColumns(f"command[{k}]", f"motor_angle[{k}]") for k, name in enumerate(robot.motor_names)}
     return LogMapping(motors, TimeColumn("time"), imu=ImuColumns("imu[0]", "imu[1]", None, "imu[2]", "imu[3]"))
 
@@ -88,18 +90,18 @@ def default_mapping(robot: RobotDescription) -> LogMapping:
 def import_log(
     path: Path, robot: RobotDescription, mapping: Path | None = None, any_checksum: bool = False
 ) -> RecordedMotion:
-    """Return the motion of a foreign log.
+    """Read a third-party log as recorded motion.
 
     Args:
-        path: NPZ, CSV, pickle, MCAP, or folder or file of a ROS bag.
-        robot: whose log it is.
-        mapping: YAML file; if not given, bags and CSV files of a Go2's messages are read as such, and others by
-            `default_mapping`.
-        any_checksum: take a Go2's messages with a wrong checksum too.
+        path: NPZ, CSV, pickle, torch, Parquet or MCAP file, or folder or file of a ROS bag.
+        robot: robot that was logged.
+        mapping: YAML file with the mapping. Defaults to `default_mapping`, except for bags and CSV files with Go2
+            messages, which need none.
+        any_checksum: whether to accept Go2 messages with a wrong checksum.
 
     Raises:
-        SurefootError: a file that can't be read, a mapping that does not fit the robot or the file, time that goes
-            backwards, or commands that are missing in a row of a log with commands.
+        SurefootError: the file can't be read, the mapping does not fit the robot or the file, time goes backwards, or
+            some rows of a log with commands have none.
     """
     columns = default_mapping(robot)
     if mapping is None and is_go2(robot) and (motion := read_go2(path, any_checksum)) is not None:
@@ -114,23 +116,23 @@ def import_log(
                         f"motors names '{name}', which {robot.name} does not have; it has {choices(robot.motor_names)}"
                     )
             if missing := [name for name in robot.motor_names if name not in columns.motors]:
-                raise SurefootError(f"motors lacks {choices(missing)}; it must name every motor")
+                raise SurefootError(f"motors lacks {choices(missing)}; it must name every motor of the robot")
             _check_commands(columns)
     with prefix_errors(f"log {path}"):
-        return _motion(read_table(path), columns, robot, mapping is None, path.name)
+        return _motion(read_table(path).where(columns.rows), columns, robot, mapping is None, path.name)
 
 
 def _check_commands(columns: LogMapping) -> None:
-    """Refuse commands of some motors, and motors with neither command nor angle."""
+    """Reject a mapping with commands for some motors only, or with motors that have neither command nor angle."""
     without = [name for name, motor in columns.motors.items() if motor.command is None]
     if without and len(without) < len(columns.motors):
         raise SurefootError(
-            f"motors.{without[0]} has no command, and other motors have one; give it, or leave out all of them for a "
-            "log of states"
+            f"motors.{without[0]} has no command, but other motors have one; add it, or leave out command for all "
+            "motors if this is a log of states"
         )
     for name in without:
         if columns.motors[name].angle is None:
-            raise SurefootError(f"motors.{name} has neither command nor angle; it needs one of them")
+            raise SurefootError(f"motors.{name} has neither command nor angle; it needs at least one")
 
 
 def _motion(
@@ -142,41 +144,50 @@ def _motion(
     missing = np.full(table.rows, np.nan)
 
     def column(key: str | None, optional: bool = False) -> Array:
-        if key is None or (optional and key not in table.columns):
-            return missing
-        if key not in table.columns:
-            raise SurefootError(f"has no column '{key}'; columns: {choices(list(table.columns)[:_SHOWN])}")
-        return table.columns[key]
+        return missing if key is None or (optional and key not in table.columns) else table.column(key)
 
-    def of_motors(key: str, unit: float = 1.0, offset: bool = False) -> Array:
+    def motor_columns(key: str, unit: float = 1.0, offset: bool = False) -> Array:
         optional = default and key != "command"
         return np.stack(
             [column(getattr(m, key), optional) * (m.sign * unit) + (m.offset if offset else 0.0) for m in motors],
             axis=1,
         )
 
-    def of_imu(*keys: str) -> Array:
+    def imu_columns(*keys: str) -> Array:
         factor = columns.imu.sign * ANGLE_UNITS[columns.imu.unit]
         return np.stack([column(getattr(columns.imu, key), default) * factor for key in keys], axis=1)
 
     time = table.time if columns.time is None else column(columns.time.column) * TIME_UNITS[columns.time.unit]
     if time is None:
-        raise SurefootError("has no clock of its own; the mapping must name the column of time")
+        raise SurefootError("has no time stamps of its own; the mapping must name the column of time")
     if not np.isfinite(time).all():
         raise SurefootError(f"time is not finite in row {int(np.argmin(np.isfinite(time)))}")
+    if (run_column := _find_run_column(table, time)) is not None:
+        first = table.columns[run_column][0]
+        raise SurefootError(
+            f"has several runs: time begins anew where {run_column} changes; choose one in the mapping, such as "
+            f"rows: {{{run_column}: {first:g}}}"
+        )
     check_rising(time)
     angle = ANGLE_UNITS[columns.unit]
-    command = of_motors("command", angle, True)
+    command = motor_columns("command", angle, True)
     if motors[0].command is not None and not np.isfinite(command).all():
         row, motor = (int(k) for k in np.argwhere(~np.isfinite(command))[0])
-        raise SurefootError(f"row {row} has no command of {robot.motor_names[motor]}; every row needs its command")
+        raise SurefootError(f"row {row} has no command for {robot.motor_names[motor]}; every row needs a command")
     return RecordedMotion(
         name,
         time,
         command,
-        motor_angle=of_motors("angle", angle, True),
-        motor_velocity=of_motors("velocity", angle),
-        motor_torque=of_motors("torque"),
-        roll_pitch_yaw=of_imu("roll", "pitch", "yaw"),
-        angular_velocity_base=of_imu("roll_rate", "pitch_rate", "yaw_rate"),
+        motor_angle=motor_columns("angle", angle, True),
+        motor_velocity=motor_columns("velocity", angle),
+        motor_torque=motor_columns("torque"),
+        roll_pitch_yaw=imu_columns("roll", "pitch", "yaw"),
+        angular_velocity_base=imu_columns("roll_rate", "pitch_rate", "yaw_rate"),
     )
+
+
+def _find_run_column(table: ColumnTable, time: Array) -> str | None:
+    """Return the column that changes exactly in the rows in which time (T,) goes backwards; None, if there is none."""
+    back = np.flatnonzero(np.diff(time) < 0.0)
+    names = (name for name, column in table.columns.items() if np.array_equal(np.flatnonzero(np.diff(column)), back))
+    return next(names, None) if len(back) else None

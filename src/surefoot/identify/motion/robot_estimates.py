@@ -1,4 +1,7 @@
-"""Estimates of physical parameters from a fit to logs: products of shared values and ratios, by the delta method."""
+"""Estimates of physical parameters from a fit to logs, with standard deviations by the delta method.
+
+Many parameters are products of a value that motors share and a ratio of each motor.
+"""
 
 from __future__ import annotations
 
@@ -22,31 +25,32 @@ MODEL_ACCURACY = {
     "servo_kd": 0.1,
     "leg_mass_ratio": 0.01,
 }
-"""Least deviation of values from logs, as a share of the sheet's or estimated value, the greater one. Other laws of
-friction, which fade at another speed, give other shares of Coulomb and viscous friction; MuJoCo's own has up to half
-less Coulomb friction in calves. Set on made-up logs 1 to 5 of `benchmarks/identification_logs.py`."""
+"""Standard deviation of model errors in estimates from logs, relative to the larger of the data sheet's and the
+estimated value. Friction models that build up over another speed divide friction differently between Coulomb and
+viscous; MuJoCo's own model has up to half less Coulomb friction in calves. The values were chosen on the synthetic logs
+1 to 5 of `benchmarks/identification_logs.py`."""
 
-SHARED_FRICTION = 0.5
-"""The same of Coulomb friction [N m], over viscous friction [N m s/rad]: where friction builds up over a speed like a
-joint's own, as MuJoCo's does in calves, a fit takes Coulomb friction for viscous one."""
+FRICTION_EXCHANGE = 0.5
+"""Model error of Coulomb friction [N m] per viscous friction [N m s/rad]: if friction builds up over speeds like the
+joint's own, as MuJoCo's model does in calves, a fit mistakes Coulomb for viscous friction."""
 LATENCY_ACCURACY = 0.75
-"""The same of the latency, over a servo step: simulators disagree on when a command of a step acts."""
+"""Model error of the latency in servo steps: simulators disagree on when in a step a command acts."""
 
 
 def robot_estimates(
     robot: RobotDescription, prior: PhysicalParams, params: PhysicalParams, fit: Fit
 ) -> list[ParameterEstimate]:
-    """Return estimates of all physical parameters that depend on the fitted unknowns.
+    """Return the estimates of all physical parameters that depend on the fitted unknowns.
 
     Args:
-        robot: its description.
+        robot: robot description.
         prior: parameters before the fit, one row.
-        params: parameters with the fit's values, one row.
+        params: parameters after the fit, one row.
         fit: result of `fitting.hold_unidentifiable`.
     """
     commanded = gains_are_commanded(robot)
     estimates = []
-    for name in _changed(fit):
+    for name in _affected_parameters(fit):
         value = getattr(params, name)[0]
         slopes = parameter_slopes(prior, fit, name)
         determined = np.any(np.abs(slopes[fit.free]) > 0, axis=0)
@@ -56,7 +60,7 @@ def robot_estimates(
         indices: Sequence[int | None] = [None] if len(values) == 1 or same else range(_count(name, values))
         for index in indices:
             number, deviation = float(values[index or 0]), float(np.sqrt(variances[index or 0]))
-            if fit.considers:
+            if fit.has_considered:
                 size = max(abs(number), abs(float(np.atleast_1d(getattr(prior, name)[0])[index or 0])))
                 size = abs(number) if name in GAINS else size
                 floor = MODEL_ACCURACY.get(name, 0.0) * size
@@ -64,7 +68,7 @@ def robot_estimates(
                     floor = LATENCY_ACCURACY * robot.timing.servo_step
                 if name == "motor_friction":
                     viscous = float(params.motor_viscous_friction[0, index or 0])
-                    floor = float(np.hypot(floor, SHARED_FRICTION * viscous))
+                    floor = float(np.hypot(floor, FRICTION_EXCHANGE * viscous))
                 deviation = float(np.hypot(deviation, floor))
             item = ParameterEstimate.within_bounds(robot, name, number, deviation, index, bool(determined[index or 0]))
             estimates.append(replace(item, of_robot=not (commanded and name in GAINS)))
@@ -75,8 +79,8 @@ def _count(name: str, values: Array) -> int:
     return 2 if name == "base_offset" else len(values)
 
 
-def _changed(fit: Fit) -> list[str]:
-    """Return the names of the physical parameters that the fitted unknowns change, as `PhysicalParams` orders them."""
+def _affected_parameters(fit: Fit) -> list[str]:
+    """Return the names of the physical parameters that depend on the unknowns, in the order of `PhysicalParams`."""
     names = {RATIOS.get(unknown.name, unknown.name) for unknown in fit.unknowns} - set(CONSIDERED)
     if DAMPING_RATIO in names:
         names |= {"servo_kd"}
@@ -84,8 +88,8 @@ def _changed(fit: Fit) -> list[str]:
 
 
 def parameter_slopes(prior: PhysicalParams, fit: Fit, name: str) -> Array:
-    """Return the derivatives of a parameter by the unknowns (n, size)."""
+    """Return the derivatives of a parameter with respect to the n unknowns (n, size)."""
     steps = np.array([unknown.step for unknown in fit.unknowns])
-    here = getattr(robot_params(prior, fit.unknowns, fit.values[None]), name)[0]
-    moved = getattr(robot_params(prior, fit.unknowns, fit.values + np.diag(steps)), name)
-    return np.asarray((moved - here).reshape(len(steps), -1) / steps[:, None])
+    value = getattr(robot_params(prior, fit.unknowns, fit.values[None]), name)[0]
+    perturbed = getattr(robot_params(prior, fit.unknowns, fit.values + np.diag(steps)), name)
+    return np.asarray((perturbed - value).reshape(len(steps), -1) / steps[:, None])

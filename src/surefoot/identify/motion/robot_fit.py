@@ -1,11 +1,11 @@
-"""Physical parameters of a robot with joint actuators from its logs: commands and angles, without torques or speeds.
+"""Identification of a robot with joint actuators from logs of commands and angles, without torques or speeds.
 
-The fit is least squares over whole simulated robots (`identify.motion.robot_model`); a search by CMA-ES may precede it,
-where the start is far off. Held-out logs show how well the identified robot moves in ways that were not fitted.
+The fit is a least-squares fit of whole-robot simulations (`identify.motion.robot_model`). A CMA-ES search may precede
+it if the initial parameters are far off. Held-out logs show how well the fitted parameters predict other motions.
 
-What a log does not determine keeps its value: such unknowns are held and the others fitted again, so that the values
-that are written belong together. What is never fitted, but not known exactly either (the servos' latency, the law of
-friction at turning points, the clock), widens the intervals.
+Parameters that a log does not determine are held at their prior values and the others are fitted again, so that the
+written values are consistent. Parameters that are never fitted, but not known exactly (the latency of the servos,
+friction at motion reversals, the clock), widen the intervals.
 """
 
 from __future__ import annotations
@@ -17,30 +17,31 @@ import numpy as np
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Fit, fit_least_squares, hold_unidentifiable
 from surefoot.identify.model import ReplayModel
+from surefoot.identify.motion.ambiguities import describe_ambiguities
+from surefoot.identify.motion.fit_diagnosis import diagnose_fit
 from surefoot.identify.motion.motion_digest import all_digest, motion_digest
-from surefoot.identify.motion.priors import GAINS, default_names, gains_are_commanded, without_known
+from surefoot.identify.motion.priors import GAINS, default_names, drop_known, gains_are_commanded
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import imu_channels, replay_motion
 from surefoot.identify.motion.robot_estimates import robot_estimates
-from surefoot.identify.motion.robot_model import SECONDS, correlated_noise, fitted_part, robot_model
+from surefoot.identify.motion.robot_model import GROUND_SECONDS, correlated_noise, fitted_part, robot_model
 from surefoot.identify.motion.robot_unknowns import considered_unknowns, robot_params, robot_unknowns
 from surefoot.identify.motion.start_search import find_gains, search_start
-from surefoot.identify.motion.verdict import judge_fit
-from surefoot.identify.motion.words import describe_unknown
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, ignore_progress
 from surefoot.robot import PhysicalParams, RobotDescription
 
-MOUNTS = (0.0, np.pi / 2, np.pi, -np.pi / 2)
-"""Yaw of an IMU in the base [rad] that is tried."""
+IMU_YAW_CANDIDATES = (0.0, np.pi / 2, np.pi, -np.pi / 2)
+"""Candidates for the yaw of the IMU in the base frame [rad]."""
 FIRST_NOISE = 0.005
-"""Standard deviation of angles in the first round of a fit to logs on a rack [rad]; later that of the residuals. It is
-small: a fit that its priors hold would leave residuals that confirm a large one."""
+"""Noise of angles in the first round of a fit to logs on a rack [rad]; later rounds use the noise of the residuals. It
+starts small, because with large noise the priors dominate the fit, and its residuals would confirm the large noise."""
 MAX_ROUNDS = 3
-SAME_NOISE = 1.25
-"""Factor within which the residuals' noise agrees with the assumed one, so that no further round is needed."""
+NOISE_TOLERANCE = 1.25
+"""Maximum ratio between residual and assumed noise, in either direction, at which the rounds end."""
 _MOUNT_DEVIATION = 0.05
-_SHOWN = 3.0
+_PLOT_TIME = 3.0
+"""Length of the motion in the report's figure [s]."""
 
 
 def fit_robot(
@@ -58,23 +59,23 @@ def fit_robot(
     """Identify physical parameters from logs of a robot.
 
     Args:
-        robot: its description.
+        robot: robot description.
         motions: logs to fit.
-        held_out: logs that are replayed with the estimates, and not fitted.
-        names: which numbers to identify, of `priors.PRIORS`; if not given, those that such logs can show.
-        prior: parameters before, one row.
-        seconds: how much of each log is fitted, from its start; if not given, see `robot_model.fitted_part`.
-        search: generations of CMA-ES before the fit, over numbers that all motors share.
-        seed: of the search.
-        report: callback with the fit's progress.
-        known: parameters whose prior values are exact, such as gains that were stated.
+        held_out: logs that are not fitted but replayed with the estimates.
+        names: parameters to identify, keys of `priors.PRIORS`. Defaults to the parameters that such logs can show.
+        prior: parameters before the fit, one row.
+        seconds: length of the fitted part of each log, from its start. Defaults as in `robot_model.fitted_part`.
+        search: generations of CMA-ES before the fit, over parameters that all motors share.
+        seed: seed of the search.
+        report: callback with the progress of the fit.
+        known: parameters whose prior values are exact, such as stated gains.
 
     Raises:
-        SurefootError: unknown names, no logs, or another kind of robot.
+        SurefootError: a name is unknown, there are no logs, or the robot has other actuators.
     """
     if robot.actuator.kind != "joint":
         raise SurefootError(
-            f"the motors of {robot.name} are of kind {robot.actuator.kind}; logs are fitted for joint actuators"
+            f"the motors of {robot.name} are of kind {robot.actuator.kind}; logs can be fitted for joint actuators only"
         )
     if not motions:
         raise SurefootError("there are no logs to fit; give one or more that are not held out")
@@ -82,7 +83,7 @@ def fit_robot(
     yaw = find_imu_yaw(robot, motions, prior)
     if yaw is not None:
         prior.imu_mount[0, 2] = yaw
-    wanted = without_known(default_names(robot, rack) if names is None else names, known)
+    wanted = drop_known(default_names(robot, rack) if names is None else names, known)
     fit = _fit(robot, motions, wanted, prior, rack, seconds, (search, seed), report)
     params = robot_params(prior, fit.unknowns, fit.values[None])
     estimates = robot_estimates(robot, prior, params, fit)
@@ -90,19 +91,19 @@ def fit_robot(
         estimates.append(ParameterEstimate.within_bounds(robot, "imu_mount", yaw, _MOUNT_DEVIATION, 2))
     checks, series = _checks(robot, [*motions, *held_out], len(motions), prior, params, seconds)
     stated = {name: np.unique(getattr(prior, name)[0]).tolist() for name in GAINS if name in known}
-    parts = {one.name: motion_digest(one) for one in [*motions, *held_out]}
+    log_digests = {one.name: motion_digest(one) for one in [*motions, *held_out]}
     return Identification(
         "logs",
         robot.name,
         tuple(estimates),
         checks,
-        notes=(*describe_unknown(robot, fit, params), *_notes(fit)),
+        notes=(*describe_ambiguities(robot, fit, params), *_notes(fit)),
         series=series,
         digest=all_digest([*motions, *held_out]),
-        parts=parts,
+        log_digests=log_digests,
         gains=_gains(params, [*wanted, *known]) if gains_are_commanded(robot) else {},
         stated_gains=tuple(stated),
-        failure=judge_fit(robot, [fitted_part(one, seconds) for one in motions], params),
+        failure=diagnose_fit(robot, [fitted_part(one, seconds) for one in motions], params),
     )
 
 
@@ -120,44 +121,47 @@ def _fit(
     search: tuple[int, int],
     report: FitProgress,
 ) -> Fit:
-    """Return the fit, with what logs do not determine held; its covariance includes what is known of that before."""
+    """Fit the unknowns; hold those that the logs do not determine, with their prior uncertainty in the covariance."""
     unknowns = robot_unknowns(robot, prior, names, rack)
     if not rack:
         model, start = robot_model(robot, motions, unknowns, prior, seconds), None
         if search[0]:
             start = search_start(model, *search, report)
         fit = fit_least_squares(model, start, lambda step, cost: report(f"step {step}", cost))
-        # Narrow priors of a sheet stand for what such logs do not tell: holding that made held-out errors larger.
+        # Narrow priors in the data sheet constrain what such logs do not determine; holding these parameters as well
+        # made held-out errors larger.
         return fit if robot.priors else hold_unidentifiable(model, fit)
     considered = considered_unknowns(robot, prior, motions)
     noise = [FIRST_NOISE] * len(motions)
     start = find_gains(robot, motions, unknowns, prior, report)
     for number in range(MAX_ROUNDS):
         model = robot_model(robot, motions, [*unknowns, *considered], prior, seconds, noise)
-        some = _without(model, len(considered))
+        fitted_model = _hold_last(model, len(considered))
         if search[0] and number == 0:
-            start = search_start(some, *search, report)
-        fit = fit_least_squares(some, start, lambda step, cost: report(f"step {step}", cost))
-        start, found = fit.values, correlated_noise(model, fit.residuals, noise)
-        same = [max(one / two, two / one) for one, two in zip(found, noise, strict=True)]
-        if max(same) < SAME_NOISE:
+            start = search_start(fitted_model, *search, report)
+        fit = fit_least_squares(fitted_model, start, lambda step, cost: report(f"step {step}", cost))
+        start, residual_noise = fit.values, correlated_noise(model, fit.residuals, noise)
+        ratios = [max(one / two, two / one) for one, two in zip(residual_noise, noise, strict=True)]
+        if max(ratios) < NOISE_TOLERANCE:
             break
-        noise = found
+        noise = residual_noise
     return hold_unidentifiable(model, fit, considered, lambda step, cost: report(f"held, step {step}", cost))
 
 
-def _without(model: ReplayModel, last: int) -> ReplayModel:
-    """Return the model with its last unknowns held."""
+def _hold_last(model: ReplayModel, last: int) -> ReplayModel:
+    """Return the model with its last unknowns held at their start values."""
     free = np.ones(len(model.unknowns), np.bool_)
     free[len(free) - last :] = False
-    return model.holding(free, np.array([unknown.start for unknown in model.unknowns]))
+    return model.restrict(free, np.array([unknown.start for unknown in model.unknowns]))
 
 
 def find_imu_yaw(robot: RobotDescription, motions: Sequence[RecordedMotion], prior: PhysicalParams) -> float | None:
-    """Return the yaw of `MOUNTS` that fits the IMU's roll and pitch best; None if no log on the ground has them."""
+    """Return the yaw of the IMU that fits its roll and pitch best, or None if no log on the ground has them."""
     low, high = robot.allowed["imu_mount"]
-    yaws = [yaw for yaw in MOUNTS if low <= yaw <= high]
-    standing = [one.until(SECONDS) for one in motions if not one.rack and np.isfinite(one.imu[:, :2]).all()]
+    yaws = [yaw for yaw in IMU_YAW_CANDIDATES if low <= yaw <= high]
+    standing = [
+        one.first_seconds(GROUND_SECONDS) for one in motions if not one.rack and np.isfinite(one.imu[:, :2]).all()
+    ]
     if not standing or len(yaws) < 2:
         return None
     candidates = prior.rows(np.zeros(len(yaws), np.int64))
@@ -177,7 +181,7 @@ def _checks(
     params: PhysicalParams,
     seconds: float | None,
 ) -> tuple[tuple[Check, ...], tuple[Series, ...]]:
-    """Return errors of whole logs with the prior parameters and with the estimates, and a joint of each over time."""
+    """Return the errors of whole logs with the prior and the estimated parameters, and curves of one joint per log."""
     replayers = {rack: Replayer(robot, 1, rack, torques=False) for rack in {one.rack for one in motions}}
     checks, series = [], []
     for number, motion in enumerate(motions):
@@ -189,12 +193,12 @@ def _checks(
         whole = float(np.ptp(motion.time))
         what = f"{motion.name}, " + (f"fitted: {used:.1f} of {whole:.1f} s" if number < fitted else "held out")
         checks.append(Check(what, before.rms, after.rms, "rad", fitted=number < fitted))
-        motor = int(np.argmax(np.where(motion.moving, after.by_motor, -1.0)))
-        shown = motion.until(_SHOWN)
-        rows, angles = slice(0, len(shown.time)), shown.motor_angle[:, motor]
-        was, now = (angles + one.motor_angle[rows, motor] for one in (before, after))
+        motor = int(np.argmax(np.where(motion.moving_joints, after.by_motor, -1.0)))
+        plotted = motion.first_seconds(_PLOT_TIME)
+        rows, angles = slice(0, len(plotted.time)), plotted.motor_angle[:, motor]
+        prior_curve, fitted_curve = (angles + one.motor_angle[rows, motor] for one in (before, after))
         labels = f"{robot.motor_names[motor]}, {what}", "time [s]", "angle [rad]"
-        series.append(Series(*labels, shown.read_time, angles, was, now))
+        series.append(Series(*labels, plotted.read_time, angles, prior_curve, fitted_curve))
     return tuple(checks), tuple(series)
 
 

@@ -1,6 +1,6 @@
-"""Least-squares model of logs of a robot with joint actuators: simulated robots that repeat their commands.
+"""Least-squares model of logs of a robot with joint actuators: simulated robots replay the logged commands.
 
-Commands and angles are enough. Robots are simulated on the ground, or on a rack, for a part of each log.
+Logs need only commands and angles. Robots are simulated on the ground or on a rack, for a part of each log.
 """
 
 from __future__ import annotations
@@ -21,28 +21,27 @@ from surefoot.identify.replay import Replayer, Segment, segment_from_motion
 from surefoot.robot import PhysicalParams, RobotDescription
 
 MOVING_NOISE = 0.006
-"""Standard deviation with which angles of joints that move are compared [rad]: readings of unknown age, at up to 3.8
-rad/s, are off by as much."""
+"""Noise of the angles of moving joints [rad]: readings of unknown age, at up to 3.8 rad/s, have errors of this size."""
 STILL_NOISE = 0.04
-"""The same for joints that stand still: friction holds them where they came to rest before the log."""
+"""Noise of the angles of still joints [rad]: friction holds them where they came to rest before the log."""
 TILT_NOISE = 0.03
-"""The same for roll and pitch [rad]."""
+"""Noise of roll and pitch [rad]."""
 START_NOISE = 2.0
-"""Factor of all noise in the first `SKIPPED` seconds."""
-SPACING = 0.011
-"""Least time between rows that are compared [s]."""
-SECONDS = 2.3
-"""Length of each log of a robot on the ground that is fitted [s], from its start; longer replays go astray."""
+"""Factor of all noise during the first `SKIPPED_TIME`."""
+MIN_ROW_SPACING = 0.011
+"""Minimum time between rows that are compared [s]."""
+GROUND_SECONDS = 2.3
+"""Length of the fitted part of logs on the ground [s], from the start; longer replays diverge from the log."""
 RACK_SECONDS = 24.0
-"""The same of a robot that hangs."""
+"""Length of the fitted part of logs of a hanging robot [s]."""
 BATCH = 20
-"""Candidates that are simulated at once."""
+"""Number of candidates that are simulated at once."""
 NOISE_BLOCK = 2.0
-"""Length of the blocks of time [s] over which residuals of logs on a rack are taken to correlate: errors of the law of
-friction repeat with every turn of a joint."""
+"""Length of the time blocks [s] within which residuals of logs on a rack are taken as correlated: errors of the
+friction model repeat at every reversal of a joint."""
 MIN_NOISE = 0.004
-"""Least noise of a log [rad] for correlated residuals: a fit that believed its law of friction further would follow it
-away from masses and gains."""
+"""Minimum noise of a log [rad] for correlated residuals: with less, the fit would adjust masses and gains to compensate
+errors of the friction model."""
 MAX_RESIDUAL = 100.0
 """Residual of a candidate that diverges, in standard deviations."""
 
@@ -55,9 +54,15 @@ def robot_model(
     seconds: float | None = None,
     noise: Sequence[float] | None = None,
 ) -> ReplayModel:
-    """Return the model of the first seconds of logs; all other parameters are as in the prior (one row).
+    """Return the residual model of the first part of some logs.
 
-    `noise` is that of joints that move, for each log [rad]; `MOVING_NOISE`, if not given.
+    Args:
+        robot: robot description.
+        motions: the logs.
+        unknowns: parameters to estimate.
+        prior: all other parameters, one row.
+        seconds: length of the fitted part of each log. Defaults as in `fitted_part`.
+        noise: noise of moving joints in each log [rad]. Defaults to `MOVING_NOISE`.
     """
     noise = noise or [MOVING_NOISE] * len(motions)
     replayers = {rack: Replayer(robot, BATCH, rack, torques=False) for rack in {motion.rack for motion in motions}}
@@ -69,12 +74,12 @@ def robot_model(
 
 
 def correlated_noise(model: ReplayModel, residuals: Array, noise: Sequence[float]) -> list[float]:
-    """Return the noise of each log [rad] whose independent values would add up to as much as the residuals (m,) do.
+    """Return the effective noise of each log [rad], which accounts for residuals (m,) that are correlated in time.
 
-    Residuals of a model that is a little wrong keep their sign for many rows. Their sums over `NOISE_BLOCK` of each
-    motor vary as those of independent values of this standard deviation would.
+    Residuals of a slightly wrong model keep their sign for many rows. Independent noise with the returned standard
+    deviation would have block sums (over `NOISE_BLOCK`, for each motor) of the same variance as the residuals.
     """
-    found, first = [], 0
+    effective, first = [], 0
     for one, before in zip(model.observations, noise, strict=True):
         compared = np.isfinite(one.noise)
         values = np.zeros(compared.shape)
@@ -84,17 +89,17 @@ def correlated_noise(model: ReplayModel, residuals: Array, noise: Sequence[float
         edges = np.flatnonzero(np.diff(block, prepend=-1))
         sums, counts = (np.add.reduceat(part, edges, axis=0) for part in (values, compared.astype(float)))
         power = sums[counts > 0] ** 2 / counts[counts > 0]
-        found.append(max(before * float(np.sqrt(np.mean(power))), MIN_NOISE))
-    return found
+        effective.append(max(before * float(np.sqrt(np.mean(power))), MIN_NOISE))
+    return effective
 
 
 def fitted_part(motion: RecordedMotion, seconds: float | None) -> RecordedMotion:
-    """Return the part of a log that is fitted: its first seconds, or by default as much as replays well."""
-    return motion.until(seconds or (RACK_SECONDS if motion.rack else SECONDS))
+    """Return the part of a log to fit: its first `seconds`, which default to `RACK_SECONDS` or `GROUND_SECONDS`."""
+    return motion.first_seconds(seconds or (RACK_SECONDS if motion.rack else GROUND_SECONDS))
 
 
 def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Replayer, noise: float) -> Observations:
-    """Return a log's angles of motors, roll and pitch (n, M + 2) as observations."""
+    """Return the motor angles, roll and pitch of a log as observations (n, M + 2)."""
     rows, segment = _spaced_rows(motion), segment_from_motion(motion, robot)
     recorded = np.concatenate([motion.motor_angle, motion.imu[:, :2]], axis=1)[rows]
 
@@ -102,19 +107,19 @@ def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Rep
         clock = nuisance.get((CLOCK, None), np.ones(params.num_envs))
         shift = nuisance.get((COMMAND_SHIFT, None), np.zeros(params.num_envs))
         predicted = np.empty((params.num_envs, *recorded.shape))
-        for scale, late in sorted(set(zip(clock.tolist(), shift.tolist(), strict=True))):
-            these = np.flatnonzero((clock == scale) & (shift == late))
-            readings = replayer.run(_retimed(segment, scale, late, robot.timing.servo_step), params.rows(these))
-            predicted[these] = np.concatenate([readings.motor_angle, imu_channels(readings)[:, :, :2]], axis=2)[:, rows]
+        for scale, delay in sorted(set(zip(clock.tolist(), shift.tolist(), strict=True))):
+            group = np.flatnonzero((clock == scale) & (shift == delay))
+            readings = replayer.run(_correct_times(segment, scale, delay, robot.timing.servo_step), params.rows(group))
+            predicted[group] = np.concatenate([readings.motor_angle, imu_channels(readings)[:, :, :2]], axis=2)[:, rows]
         errors = predicted - recorded
-        # Attitudes of such IMUs drift from log to log: only their change is compared.
+        # The orientation from such IMUs drifts between logs: only its change is compared.
         errors[:, :, -2:] -= errors[:, :, -2:].mean(axis=1, keepdims=True)
         return errors
 
-    # Readings of joints that hang still do not depend on the parameters.
+    # On a rack, readings of still joints do not depend on the parameters.
     still, tilt = (np.inf, np.inf) if motion.rack else (STILL_NOISE, TILT_NOISE)
-    sizes = np.concatenate([np.where(motion.moving, noise, still), [tilt, tilt]])
-    early = ~motion.counted[rows]
+    sizes = np.concatenate([np.where(motion.moving_joints, noise, still), [tilt, tilt]])
+    early = ~motion.evaluated_rows[rows]
     sizes = np.where(early[:, None], START_NOISE, 1.0) * sizes
     leg = np.full(robot.num_motors + 2, -1)
     for number, motors in enumerate(robot.leg_motor_index):
@@ -123,20 +128,20 @@ def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Rep
     return Observations(errors, noises, motion.time[rows][:, None], {"leg": leg})
 
 
-def _retimed(segment: Segment, scale: float, late: float, dt: float) -> Segment:
-    """Return a segment with another clock: a second takes `scale` seconds, commands are sent `late` [s] later."""
-    segment = segment if scale == 1.0 else segment.stretched(scale, dt)
-    if late == 0.0:
+def _correct_times(segment: Segment, scale: float, delay: float, dt: float) -> Segment:
+    """Return a segment with its clock scaled and its commands sent `delay` [s] later."""
+    segment = segment if scale == 1.0 else segment.with_clock_scale(scale, dt)
+    if delay == 0.0:
         return segment
-    ticks = np.maximum(segment.order_tick + round(late / dt), 0)
-    return replace(segment, order_tick=np.concatenate([[0], ticks[1:]]))
+    ticks = np.maximum(segment.command_tick + round(delay / dt), 0)
+    return replace(segment, command_tick=np.concatenate([[0], ticks[1:]]))
 
 
 def _spaced_rows(motion: RecordedMotion) -> NDArray[np.int64]:
-    """Return rows of new readings that are `SPACING` or more apart."""
-    kept, last = [], -np.inf
-    for row in np.flatnonzero(motion.fresh).tolist():
-        if motion.read_time[row] - last >= SPACING:
-            kept.append(row)
+    """Return rows with new readings that are at least `MIN_ROW_SPACING` apart."""
+    rows, last = [], -np.inf
+    for row in np.flatnonzero(motion.has_new_reading).tolist():
+        if motion.read_time[row] - last >= MIN_ROW_SPACING:
+            rows.append(row)
             last = motion.read_time[row]
-    return np.array(kept, np.int64)
+    return np.array(rows, np.int64)

@@ -1,7 +1,7 @@
-"""Unknowns of a fit to logs of a robot with joint actuators, and the parameters of candidates.
+"""Unknowns of a fit to logs of a robot with joint actuators, and the physical parameters of candidates.
 
-A parameter of motors is a number for each kind of joint (hip, thigh, calf) where the sheet has one for each kind, else
-one number for all motors; times a ratio of each motor.
+A motor parameter has one value per kind of joint (hip, thigh, calf) if the data sheet has one per kind, otherwise one
+value for all motors. It is multiplied by a ratio of each motor.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, suggest
-from surefoot.identify.joint_kinds import kinds_of_joints
+from surefoot.identify.joint_kinds import motors_by_joint_kind
 from surefoot.identify.model import Unknown, candidate_params
 from surefoot.identify.motion.priors import (
     CLOCK,
@@ -25,50 +25,50 @@ from surefoot.identify.motion.priors import (
     STRICTLY_POSITIVE,
     Prior,
     prior_scale,
-    priors_of,
+    robot_priors,
 )
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 
 RACK_STEP = 0.01
-"""Steps of finite differences of a robot on a rack, over those of one on the ground, whose contacts are rough. Gains,
-masses and friction may all be greater alike: only exact derivatives show that a log does not tell."""
+"""Steps of finite differences on a rack, relative to steps on the ground, where contacts are not smooth. Gains, masses
+and friction can all grow in proportion, and only accurate derivatives show that a log does not determine this scale."""
 CONSIDERED = {"servo_latency": 0.001, "presliding": 0.002}
-"""Standard deviations of what is not fitted: sheets assume the servos' latency [s]; presliding [rad] stands for laws of
-friction that differ where joints turn."""
+"""Standard deviations of parameters that are not fitted: data sheets only assume the latency of the servos [s], and
+presliding [rad] represents friction models that differ at motion reversals."""
 CLOCK_DEVIATION = 0.02
-"""Relative standard deviation of a clock whose times look computed."""
+"""Standard deviation of the scale of a clock whose times look computed."""
 
 
 def robot_unknowns(
     robot: RobotDescription, prior: PhysicalParams, names: Sequence[str], rack: bool = False
 ) -> list[Unknown]:
-    """Return the unknowns of `names` of `priors_of`, around the parameters before (one row).
+    """Return the unknowns of a fit, starting at the prior parameters.
 
     Args:
-        robot: its description.
-        prior: the parameters before.
-        names: what to estimate.
-        rack: whether all logs are of a robot on a rack, whose legs do not affect each other.
+        robot: robot description.
+        prior: parameters before the fit, one row.
+        names: parameters to estimate, keys of `robot_priors`.
+        rack: whether the robot hangs on a rack in all logs, where legs do not affect each other.
 
     Raises:
-        SurefootError: another name.
+        SurefootError: a name is unknown.
     """
-    priors = priors_of(robot)
+    priors = robot_priors(robot)
     if bad := [name for name in names if name not in priors]:
         raise SurefootError(f"logs can't identify '{bad[0]}'; {suggest(bad[0], priors)}")
     unknowns = []
     for number, name in enumerate(dict.fromkeys(names)):
         rule = priors[name]
-        if rule.each:
-            unknowns += _own_unknowns(robot, prior, name, rule, number if rack else None)
+        if rule.individual:
+            unknowns += _individual_unknowns(robot, prior, name, rule, number if rack else None)
         else:
-            groups = kinds_of_joints(robot, prior, name) or {"": ()}
-            unknowns += [_unknown(robot, prior, name, rule, motors=m, whose=kind) for kind, m in groups.items()]
+            groups = motors_by_joint_kind(robot, prior, name) or {"": ()}
+            unknowns += [_unknown(robot, prior, name, rule, motors=m, part_name=kind) for kind, m in groups.items()]
     if rack:
         return [replace(unknown, step=RACK_STEP * unknown.step) for unknown in unknowns]
-    # Logs on the ground tell less of motors: none has next to no friction.
+    # Logs on the ground show less of the motors; lower bounds keep their friction away from zero.
     return [
         replace(one, low=max(one.low, one.prior / priors[one.name].deviation / MAX_FACTOR))
         if priors[one.name].relative and one.prior
@@ -77,20 +77,20 @@ def robot_unknowns(
     ]
 
 
-def _own_unknowns(
+def _individual_unknowns(
     robot: RobotDescription, prior: PhysicalParams, name: str, rule: Prior, colour: int | None
 ) -> list[Unknown]:
-    """Return an unknown for each motor or axis; on a rack, with a colour, those of different legs vary at once."""
+    """Return one unknown per motor or axis; with a colour (on a rack), unknowns of different legs share a colour."""
     if name == "base_offset":
-        return [_unknown(robot, prior, name, rule, k, whose=axis) for k, axis in enumerate(("x", "y"))]
+        return [_unknown(robot, prior, name, rule, k, part_name=axis) for k, axis in enumerate(("x", "y"))]
     legs = robot.leg_motor_index
     unknowns = []
-    for motor, whose in enumerate(robot.motor_names):
+    for motor, motor_name in enumerate(robot.motor_names):
         leg, place = np.argwhere(legs == motor)[0].tolist()
         more: dict[str, Any] = (
             {} if colour is None else {"colour": colour * legs.shape[1] + place, "affects": ("leg", leg)}
         )
-        unknowns.append(_unknown(robot, prior, name, rule, motor, whose=whose, **more))
+        unknowns.append(_unknown(robot, prior, name, rule, motor, part_name=motor_name, **more))
     return unknowns
 
 
@@ -109,14 +109,14 @@ def _unknown(
     low, high = robot.allowed.get(name, (-np.inf, np.inf))
     if rule.relative:
         size = prior_scale(robot, name, start)
-        least, most = (size / MAX_FACTOR if name in STRICTLY_POSITIVE else 0.0), size * MAX_FACTOR
+        lower, upper = (size / MAX_FACTOR if name in STRICTLY_POSITIVE else 0.0), size * MAX_FACTOR
     else:
-        least, most, size = start - 6 * rule.deviation, start + 6 * rule.deviation, 1.0
+        lower, upper, size = start - 6 * rule.deviation, start + 6 * rule.deviation, 1.0
     return Unknown(
         name,
         start,
-        max(low, least),
-        min(high, most),
+        max(low, lower),
+        min(high, upper),
         rule.step * size,
         index,
         rule.deviation * size,
@@ -137,9 +137,9 @@ def _prior_values(prior: PhysicalParams, name: str) -> Array:
 
 
 def robot_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: Array) -> PhysicalParams:
-    """Return one row of `base` for each of K candidates (K, n).
+    """Return the physical parameters of K candidates (K, n): the first row of `base` with their values.
 
-    A number that motors share is their mean: they keep the proportions of the base. Then the ratios are applied.
+    A value that motors share is their mean: the motors keep their proportions in `base`. Ratios are applied afterwards.
     """
     params = candidate_params(base, [u for u in unknowns if u.index is not None],
                               values[:, [u.index is not None for u in unknowns]])  # fmt: skip
@@ -149,9 +149,10 @@ def robot_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: Arra
             if array.ndim == 1:
                 array[:] = column
                 continue
-            own = getattr(base, unknown.name)[0, motors]
-            share = own / np.mean(own) if np.mean(own) > 0 else np.ones_like(own)
-            array[:, motors] = column[:, None] * share
+            base_values = getattr(base, unknown.name)[0, motors]
+            mean = np.mean(base_values)
+            proportions = base_values / mean if mean > 0 else np.ones_like(base_values)
+            array[:, motors] = column[:, None] * proportions
     columns = {(unknown.name, unknown.index): values[:, i] for i, unknown in enumerate(unknowns)}
     if (DAMPING_RATIO, None) in columns:
         params.servo_kd[:] = params.servo_kp * columns[DAMPING_RATIO, None][:, None]
@@ -164,16 +165,17 @@ def robot_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: Arra
 def considered_unknowns(
     robot: RobotDescription, prior: PhysicalParams, motions: Sequence[RecordedMotion]
 ) -> list[Unknown]:
-    """Return what is neither fitted nor known exactly, with prior deviations: it widens the intervals of the rest.
+    """Return the considered parameters: they are not fitted, but their prior uncertainty widens all intervals.
 
-    The servos' latency, the law of friction where a joint turns, and the clock of logs whose times look computed.
+    They are the latency of the servos, friction at motion reversals, the clock of logs whose times look computed, and
+    the delay of repeated commands.
     """
     deviations = dict(CONSIDERED)
     if any(motion.computed_clock for motion in motions):
         deviations[CLOCK] = CLOCK_DEVIATION
     unknowns = []
     if (interval := max(motion.command_interval for motion in motions)) > 0:
-        # A row repeats a command that is up to an interval old, or rows were looked up in a slower table.
+        # Commands change less often than rows: the true time of sending is uncertain by up to one interval.
         deviations[COMMAND_SHIFT] = interval / np.sqrt(12)
     for name, deviation in deviations.items():
         start = float(np.mean(_prior_values(prior, name)))

@@ -1,4 +1,4 @@
-"""Searches for a start of a fit to logs, where the sheet may be far off."""
+"""Searches for initial parameters of a fit to logs, if the data sheet may be far off."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from surefoot.identify.result import FitProgress
 from surefoot.robot import PhysicalParams, RobotDescription
 
 GAIN_FACTORS = 2.0 ** np.arange(-3.0, 3.01, 0.5)
-"""Proportional gains that are tried, over those of the prior."""
+"""Grid of proportional gains, relative to the prior."""
 DAMPING_TIMES = 0.005 * 2.0 ** np.arange(0.0, 5.01, 0.7)
-"""Derivative gains that are tried, over the proportional gain [s]."""
+"""Grid of derivative gains, divided by the proportional gain [s]."""
 GAIN_SECONDS = 3.0
-"""Length of each log [s] that gains are tried on."""
+"""Length of the part of each log that the gain search uses [s]."""
 GAIN_NOISE = 0.02
+"""Noise of angles in the gain search [rad]."""
 _POPULATION = 16
 
 
@@ -32,42 +33,47 @@ def find_gains(
     prior: PhysicalParams,
     report: FitProgress,
 ) -> Array | None:
-    """Return values (n,) of unknowns with the gains that fit best, all else as before; None if gains are known.
+    """Search a grid of servo gains, because a fit that starts far from the true gains ends in another minimum.
 
-    Fits that begin with gains far off end in other minima.
+    Returns:
+        Start values (n,) of the unknowns with the best gains, or None if the gains are not both unknown.
     """
-    at = {unknown.name: k for k, unknown in enumerate(unknowns)}
-    if any(name not in at for name in GAINS):
+    column = {unknown.name: k for k, unknown in enumerate(unknowns)}
+    if any(name not in column for name in GAINS):
         return None
-    report("looking for gains", float("nan"))
-    short = [one.until(min(GAIN_SECONDS, float(np.ptp(one.time)))) for one in motions]
+    report("searching for gains", float("nan"))
+    short = [one.first_seconds(min(GAIN_SECONDS, float(np.ptp(one.time)))) for one in motions]
     model = robot_model(robot, short, unknowns, prior, GAIN_SECONDS, [GAIN_NOISE] * len(short))
     kp, damping = (grid.ravel() for grid in np.meshgrid(GAIN_FACTORS, DAMPING_TIMES))
     candidates = np.tile([unknown.start for unknown in unknowns], (len(kp), 1))
-    candidates[:, at["servo_kp"]] *= kp
-    candidates[:, at["servo_kd"]] = candidates[:, at["servo_kp"]] * damping
+    candidates[:, column["servo_kp"]] *= kp
+    candidates[:, column["servo_kd"]] = candidates[:, column["servo_kp"]] * damping
     low, high = (np.array([getattr(unknown, end) for unknown in unknowns]) for end in ("low", "high"))
     candidates = np.clip(candidates, low, high)
     return np.asarray(candidates[int(np.argmin(np.sum(model.residuals(candidates) ** 2, axis=1)))])
 
 
 def search_start(model: ReplayModel, generations: int, seed: int, report: FitProgress) -> Array:
-    """Return values (n,) by CMA-ES over the unknowns that all motors share, in units of their prior deviations.
+    """Search initial values (n,) with CMA-ES over the unknowns that are shared by all motors.
+
+    The search is scaled by the prior standard deviations.
 
     Raises:
-        SurefootError: all unknowns are of one motor or axis each.
+        SurefootError: each unknown belongs to a single motor or axis.
     """
     import cma
 
     unknowns = model.unknowns
     shared = [i for i, unknown in enumerate(unknowns) if unknown.index is None]
     if not shared:
-        raise SurefootError("a search is over numbers that all motors share; none of them is to be identified")
+        raise SurefootError(
+            "--generations searches over parameters that all motors share; none of them is to be identified"
+        )
     starts, low, high = (np.array([getattr(unknown, end) for unknown in unknowns]) for end in ("start", "low", "high"))
     spread = np.array([unknown.prior or 1.0 for unknown in unknowns])
     options = {"seed": seed or 1, "popsize": _POPULATION, "maxiter": generations, "verbose": -9}
     evolution = cma.CMAEvolutionStrategy(np.zeros(len(shared)), 0.5, options)
-    best, least = starts, np.inf
+    best, min_cost = starts, np.inf
     while not evolution.stop():
         steps = np.array(evolution.ask())
         candidates = np.tile(starts, (len(steps), 1))
@@ -75,7 +81,7 @@ def search_start(model: ReplayModel, generations: int, seed: int, report: FitPro
         candidates = np.clip(candidates, low, high)
         costs = np.sum(model.residuals(candidates) ** 2, axis=1) + np.sum(steps**2, axis=1)
         evolution.tell(list(steps), costs.tolist())
-        if costs.min() < least:
-            best, least = candidates[int(np.argmin(costs))], float(costs.min())
-        report(f"search, generation {evolution.countiter}", least / len(model.blocks))
+        if costs.min() < min_cost:
+            best, min_cost = candidates[int(np.argmin(costs))], float(costs.min())
+        report(f"search, generation {evolution.countiter}", min_cost / len(model.blocks))
     return best

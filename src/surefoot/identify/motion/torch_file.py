@@ -1,7 +1,7 @@
-"""Tensors of a file that `torch.save` wrote, without torch: PACE's logs, `time`, `dof_pos`, `des_dof_pos`.
+"""Reader of tensors in files of `torch.save` without torch, such as PACE's logs (`time`, `dof_pos`, `des_dof_pos`).
 
-Such a file is a ZIP archive with a pickle and the bytes of each storage. Of the pickle nothing is built but tables,
-lists, numbers, texts and tensors; everything else that it names is refused, so nothing in it is executed.
+Such a file is a ZIP archive with a pickle and the bytes of each storage. Only dictionaries, lists, numbers, strings and
+tensors are built from the pickle. Everything else that it refers to is rejected, so that no code of the file runs.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 
 FILE_BYTES = 1 << 28
-"""Size of the largest file, and of the largest sum of its storages."""
+"""Maximum size of a file, and of the unpacked archive [bytes]."""
 _STORAGES = {
     "DoubleStorage": "<f8",
     "FloatStorage": "<f4",
@@ -33,19 +33,19 @@ _STORAGES = {
 
 
 class _StorageKind:
-    """Name of a kind of storage in the pickle."""
+    """Placeholder for a torch storage class in the pickle: its NumPy data type."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
 
 
 def _rebuild_tensor(storage: Any, offset: Any, shape: Any, strides: Any, *_: Any) -> NDArray[Any]:
-    """Return a tensor's numbers: of a storage, from an offset, with strides in numbers."""
+    """Return the elements of a tensor in a storage; offset and strides are in elements."""
     sizes = [*shape, *strides, offset]
     if not isinstance(storage, np.ndarray) or len(shape) != len(strides):
         raise pickle.UnpicklingError("a tensor without its storage")
     if not all(isinstance(size, int) and size >= 0 for size in sizes):
-        raise pickle.UnpicklingError("a tensor with a shape that is none")
+        raise pickle.UnpicklingError("a tensor with an invalid shape")
     if 0 in shape:
         return np.zeros(shape, storage.dtype)
     last = offset + sum((size - 1) * stride for size, stride in zip(shape, strides, strict=True))
@@ -60,7 +60,7 @@ def _rebuild_parameter(tensor: Any, *_: Any) -> Any:
 
 
 class _TensorUnpickler(pickle.Unpickler):
-    """Builds tables, lists, numbers, texts and tensors, and nothing else."""
+    """Unpickler that builds only dictionaries, lists, numbers, strings and tensors."""
 
     def __init__(self, archive: zipfile.ZipFile, folder: str) -> None:
         super().__init__(io.BytesIO(archive.read(f"{folder}data.pkl")))
@@ -69,26 +69,26 @@ class _TensorUnpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if module in ("torch", "torch.storage") and name in _STORAGES:
             return _StorageKind(_STORAGES[name])
-        known = {
+        allowed = {
             ("torch._utils", "_rebuild_tensor_v2"): _rebuild_tensor,
             ("torch._utils", "_rebuild_parameter"): _rebuild_parameter,
             ("collections", "OrderedDict"): dict,
         }
-        if (module, name) not in known:
-            raise pickle.UnpicklingError(f"it names {module}.{name}, which is not read")
-        return known[module, name]
+        if (module, name) not in allowed:
+            raise pickle.UnpicklingError(f"it refers to {module}.{name}, which is not allowed")
+        return allowed[module, name]
 
     def persistent_load(self, pid: Any) -> Any:
         if not (isinstance(pid, tuple) and len(pid) == 5 and pid[0] == "storage" and isinstance(pid[1], _StorageKind)):
-            raise pickle.UnpicklingError("it names something that is no storage")
+            raise pickle.UnpicklingError("it refers to something that is not a storage")
         return np.frombuffer(self._archive.read(f"{self._folder}data/{pid[2]}"), pid[1].kind)
 
 
 def read_tensors(path: Path) -> dict[str, Any]:
-    """Return the table in a file of `torch.save`, with arrays for tensors.
+    """Return the dictionary in a file of `torch.save`, with arrays instead of tensors.
 
     Raises:
-        SurefootError: another kind of file, or one that holds anything but a table of tensors and numbers.
+        SurefootError: the file is of another kind, or holds anything other than a dictionary of tensors and numbers.
     """
     try:
         with zipfile.ZipFile(path) as archive:
@@ -96,15 +96,15 @@ def read_tensors(path: Path) -> dict[str, Any]:
                 raise SurefootError(f"holds more than {FILE_BYTES >> 20} MiB")
             pickles = [name for name in archive.namelist() if name.rpartition("/")[2] == "data.pkl"]
             if len(pickles) != 1:
-                raise SurefootError("is no file of torch.save: it holds no data.pkl")
+                raise SurefootError("is not a file of torch.save: it holds no data.pkl")
             order = f"{pickles[0].removesuffix('data.pkl')}byteorder"
             if order in archive.namelist() and archive.read(order).strip() != b"little":
-                raise SurefootError("has its numbers in big-endian order; save it on another machine")
+                raise SurefootError("is in big-endian byte order; save it on another machine")
             data = _TensorUnpickler(archive, pickles[0].removesuffix("data.pkl")).load()
     except SurefootError:
         raise
     except Exception as error:  # a pickle is a program: any error is possible
-        raise SurefootError(f"is no file of torch.save with tensors: {' '.join(str(error).split())}") from error
+        raise SurefootError(f"is not a file of torch.save with tensors: {' '.join(str(error).split())}") from error
     if not isinstance(data, dict):
-        raise SurefootError(f"holds a {type(data).__name__}; a log is a table of tensors by name")
+        raise SurefootError(f"holds a {type(data).__name__}; a log must be a dictionary of tensors")
     return data

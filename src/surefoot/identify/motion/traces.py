@@ -1,4 +1,4 @@
-"""Traces as recorded motion, and recorded motion as a trace; files of either."""
+"""Conversion between episode traces and recorded motion, and reading of their files."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from surefoot.identify.motion.recorded import IMU, RecordedMotion
 from surefoot.npz import read_npz
 from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import param_table
-from surefoot.task.trace import LOG, EpisodeTrace, robot_meta
+from surefoot.task.trace import IMPORTED_LOG, EpisodeTrace, robot_meta
 
 
 def deployed_motion(name: str, trace: EpisodeTrace) -> RecordedMotion:
-    """Return the motion of a trace that surefoot recorded: each row's command was sent a row before."""
+    """Return the motion of a trace recorded by surefoot, in which the command of a row was sent one row earlier."""
     sent = np.concatenate([[max(trace.time[0] - trace.meta["control_step"], 0.0)], trace.time[:-1]])
     return _motion(name, trace, sent, trace.time)
 
 
 def motion_from_trace(name: str, trace: EpisodeTrace) -> RecordedMotion:
-    """Return the motion of a trace, to be replayed; of an imported one the longest part with targets.
+    """Return the motion of a trace for replay; from an imported trace, the longest part with targets.
 
     Raises:
-        SurefootError: fewer than two rows in a row with targets, or what `RecordedMotion.checked` refuses.
+        SurefootError: there are no two consecutive rows with targets, or the motion can't be replayed.
     """
-    if not trace.imported:
-        return deployed_motion(name, trace).checked()
-    rows = _longest(np.asarray(np.isfinite(trace.target).all(axis=1)))
+    if not trace.is_imported:
+        return deployed_motion(name, trace).require_replayable()
+    rows = _longest_run(np.asarray(np.isfinite(trace.target).all(axis=1)))
     if rows.stop - rows.start < 2:
-        raise SurefootError("has no two rows in a row with commands; a log to replay or to identify from has commands")
+        raise SurefootError("has no two consecutive rows with commands; replay and identification need commands")
     motion = _motion(name, trace, trace.time, trace.time if trace.meta.get("read_at_row") else np.empty(0))
-    return replace(motion.rows(rows), gains=param_table(trace.meta["params"], "meta.params")).checked()
+    return replace(motion.rows(rows), gains=param_table(trace.meta["params"], "meta.params")).require_replayable()
 
 
 def _motion(name: str, trace: EpisodeTrace, sent: Array, read: Array) -> RecordedMotion:
@@ -45,18 +45,18 @@ def _motion(name: str, trace: EpisodeTrace, sent: Array, read: Array) -> Recorde
     return RecordedMotion(name, sent, trace.target, read, *readings, *attitude, meta=trace.meta)
 
 
-def _longest(rows: NDArray[np.bool_]) -> slice:
-    """Return the longest run of rows (T,) that are true."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]]))).reshape(-1, 2)
-    first, last = max(ends.tolist(), key=lambda part: part[1] - part[0], default=(0, 0))
+def _longest_run(rows: NDArray[np.bool_]) -> slice:
+    """Return the longest run of true values in a mask (T,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], rows.astype(np.int8), [0]]))).reshape(-1, 2)
+    first, last = max(edges.tolist(), key=lambda part: part[1] - part[0], default=(0, 0))
     return slice(first, last)
 
 
 def trace_from_motion(motion: RecordedMotion, robot: RobotDescription) -> EpisodeTrace:
-    """Return the rows of a log as a trace of the world `LOG`; what nobody recorded is NaN.
+    """Return a log as a trace of the world `IMPORTED_LOG`; missing values are NaN.
 
     Raises:
-        SurefootError: numbers that a trace does not take, such as infinite ones.
+        SurefootError: the log has values that a trace can't hold, such as infinite ones.
     """
     step = motion.control_step
     power = np.abs(np.sum(motion.motor_torque * motion.motor_velocity, axis=1))
@@ -72,7 +72,7 @@ def trace_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Episod
             energy=power * np.diff(motion.time, prepend=motion.time[:1] - step),
             meta={
                 **robot_meta(robot),
-                "world": LOG,
+                "world": IMPORTED_LOG,
                 "observation_names": [],
                 "ended": "time",
                 "max_steps": round(float(np.ptp(motion.time)) / step) + 1,
@@ -87,13 +87,12 @@ def trace_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Episod
 
 
 def read_motion(path: Path, robot: RobotDescription) -> RecordedMotion:
-    """Read a trace (.npz), or an .npz file with arrays `time` (T,), `command`, `motor_angle` (T, M) and `imu` (T, 4).
+    """Read a trace, or an .npz file with arrays `time` (T,), `command` and `motor_angle` (T, M), and `imu` (T, 4).
 
-    `motor_angle` or `imu` may be missing.
+    One of `motor_angle` and `imu` may be missing.
 
     Raises:
-        SurefootError: no such file, a damaged one, one with other arrays, of another robot, or one that can't be
-            replayed.
+        SurefootError: the file is missing, damaged, has other arrays, is of another robot, or can't be replayed.
     """
     with prefix_errors(f"log {path}"):
         arrays = read_npz(path)
@@ -110,7 +109,7 @@ def _motion_from_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: Robot
     if missing or not {"motor_angle", "imu"} & set(arrays):
         lacks = missing or ["motor_angle and imu"]
         raise SurefootError(
-            f"has no {' and no '.join(lacks)}; a log has time, command, and motor_angle or imu. It has "
+            f"has no {' and no '.join(lacks)}; a log needs time, command, and motor_angle or imu. It has "
             f"{choices(sorted(arrays)[:20])}; with other names: surefoot identify import --map MAPPING.yaml"
         )
     steps, motors = np.shape(arrays["time"])[:1] or (0,), robot.num_motors
@@ -119,13 +118,13 @@ def _motion_from_arrays(name: str, arrays: dict[str, NDArray[Any]], robot: Robot
     for key, shape in shapes.items():
         array = arrays.get(key, np.full(shape, np.nan))
         if array.dtype.kind not in "iuf":
-            raise SurefootError(f"{key} holds {array.dtype}; it must hold numbers")
+            raise SurefootError(f"{key} has type {array.dtype}; it must hold numbers")
         if array.shape != shape:
-            rule = f"{robot.name} has {motors} motors" if key in ("command", "motor_angle") else "a row for each time"
+            rule = f"{robot.name} has {motors} motors" if key in ("command", "motor_angle") else "one row per time"
             raise SurefootError(f"{key} has shape {array.shape}; it must have {shape}: {rule}")
         columns[key] = array.astype(float)
-    # Yaw and its rate are not among the channels.
+    # Yaw and its rate are not in the file.
     columns["roll_pitch_yaw"], columns["angular_velocity_base"] = (
         np.pad(part, ((0, 0), (0, 1)), constant_values=np.nan) for part in np.split(columns.pop("imu"), 2, axis=1)
     )
-    return RecordedMotion(name, **columns).checked()
+    return RecordedMotion(name, **columns).require_replayable()

@@ -1,1 +1,1 @@
-"""Experiments on a robot that hangs on a rack: plans, model, fits."""
+"""Experiments with a robot that hangs on a rack: plans, replay model, fits."""

@@ -1,7 +1,8 @@
 """Fits of the experiments on a rack.
 
-Motor: the recording is replayed in simulation until servo, motors and legs respond alike. Latency: responses to spikes
-measure the readings' age directly (Tan et al. 2018, section V-A); a replay gives it too, and the servo's latency.
+Motor experiment: the parameters of servo, motors and legs are fitted by replaying the recording in simulation. Latency
+experiment: responses to spikes measure the age of the readings directly (Tan et al. 2018, section V-A); a fit by replay
+also gives it, together with the latency of the servo.
 """
 
 from __future__ import annotations
@@ -18,33 +19,33 @@ from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.model import GAIN_DEVIATION, TORQUE_GAIN
 from surefoot.identify.rack.model import fit_on_rack, moving_legs, rack_estimates, replay_errors
-from surefoot.identify.recording import Recording, read_at
+from surefoot.identify.recording import Recording, interpolate_columns
 from surefoot.identify.replay import Replayer, Segment, segment_from_recording
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series
 from surefoot.robot import PhysicalParams, RobotDescription
 
 RACK_TILT = 0.002
-"""Standard deviation [rad] of a rack's tilt: a spirit level's bubble of .1 degrees."""
+"""Standard deviation [rad] of a rack's tilt: 0.1 degrees, the resolution of a spirit level."""
 VOLTAGE_DEVIATION = 0.02
-"""Standard deviation [V] of a battery's voltage at rest: sensor, and charge used meanwhile."""
+"""Standard deviation [V] of the battery voltage at rest: sensor error, and charge used during the experiment."""
 MIN_RESPONSES = 8
-"""Clear responses to spikes that are needed."""
+"""Minimum number of clear responses to spikes."""
 AGE_TOLERANCE = 0.001
-"""Difference [s] of the readings' age, by spikes and by replay, from which a note is given."""
+"""Difference [s] between the age of readings by spikes and by replay above which a note is returned."""
 SPIKES = ("spikes", Mode.PWM)
-"""Name and mode of the phases that have spikes."""
+"""Name and mode of the phases with spikes."""
 WINDOW = 0.014
-"""Time after the first motion [s] whose readings are fitted; later the spike's speed has faded."""
-BEFORE = 0.010
+"""Time after the first motion [s] whose readings are fitted; later, the motion caused by the spike has decayed."""
+PRE_WINDOW = 0.010
 """Time before a spike [s] whose readings are fitted."""
 MAX_AGE, AGE_STEP = 0.08, 0.0002
-"""Greatest age, and step between ages that are tried [s]."""
+"""Maximum age of readings, and grid step of the search over ages [s]."""
 MIN_SPEED_RATIO = 8.0
-"""Least speed of a clear response, over the noise of speeds."""
+"""Minimum speed of a clear response, relative to the noise of the speeds."""
 
 
 def estimate_imu(recording: Recording) -> list[ParameterEstimate]:
-    """Return the constant error of roll and pitch, and their noise, of a base that is held level and still."""
+    """Return bias and noise of the IMU's roll and pitch, from a base that is held level and still."""
     tilt = recording.roll_pitch_yaw[:, :2]
     count = len(tilt)
     noise = float(np.sqrt(np.mean(tilt.var(axis=0, ddof=1))))
@@ -57,7 +58,7 @@ def estimate_imu(recording: Recording) -> list[ParameterEstimate]:
 
 
 def estimate_voltage(recording: Recording) -> ParameterEstimate:
-    """Return the voltage of the battery before motors move."""
+    """Return the battery voltage before the motors move."""
     return ParameterEstimate(
         "voltage", float(np.mean(recording.voltage[recording.resting])), VOLTAGE_DEVIATION, "V", low=0.0
     )
@@ -79,14 +80,14 @@ def fit_motor(
     series: tuple[Series, ...] = ()
     if recording.phases("check"):
         checks, series = _check(robot, recording, (prior, params), gains)
-    open_ = [e.label for e in estimates if not e.identifiable]
+    unidentifiable = [e.label for e in estimates if not e.identifiable]
     return Identification(
         "motor",
         robot.name,
         estimates,
         checks,
         tuple(fit.strongest_correlations()),
-        (f"not identifiable from these data: {', '.join(open_)}",) if open_ else (),
+        (f"not identifiable from these data: {', '.join(unidentifiable)}",) if unidentifiable else (),
         (*series, _torque_curve(robot, recording, segment, params, gains)),
         {"torque_gain": gains.tolist(), "torque_accuracy": GAIN_DEVIATION / float(np.sqrt(robot.num_motors))},
     )
@@ -100,7 +101,7 @@ def _segment(recording: Recording, use: str) -> Segment:
 def _check(
     robot: RobotDescription, recording: Recording, params: tuple[PhysicalParams, PhysicalParams], gains: Array
 ) -> tuple[tuple[Check, ...], tuple[Series, ...]]:
-    """Return errors on held-out phases with the prior parameters and with the estimates, and one motor over time."""
+    """Return the errors on held-out phases with the prior and the estimated parameters, and curves of one motor."""
     replayer, motor, segment = Replayer(robot, 1), 0, _segment(recording, "check")
     replays = [replayer.run(segment, one) for one in params]
     motors = moving_legs(robot, recording)
@@ -110,10 +111,10 @@ def _check(
     )
 
     def series(label: str, quantity: str, gain: float) -> Series:
-        was, now = (getattr(one, quantity)[0, :, motor] for one in replays)
+        prior_curve, fitted_curve = (getattr(one, quantity)[0, :, motor] for one in replays)
         measured = getattr(recording, quantity)[segment.states, motor]
         title = f"{robot.motor_names[motor]}, not fitted"
-        return Series(title, "time [s]", label, segment.state_time, measured, was, now * gain)
+        return Series(title, "time [s]", label, segment.state_time, measured, prior_curve, fitted_curve * gain)
 
     return (
         Check("motor angles", 1e3 * before[0], 1e3 * after[0], "mrad"),
@@ -125,41 +126,41 @@ def _check(
 def _torque_curve(
     robot: RobotDescription, recording: Recording, segment: Segment, params: PhysicalParams, gains: Array
 ) -> Series:
-    """Return torque over current: reports of motors under PWM, over their strength, beside the data sheet's curve."""
+    """Return torque over current: reported torque of PWM phases over motor strength, and the data sheet's curve."""
     motors = moving_legs(robot, recording)
-    order = np.searchsorted(segment.order_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
-    driven = segment.kind[order] == Mode.PWM
-    kept = segment.states[driven]
-    # A state's speeds are older than its torques by the control latency.
-    later = recording.time[kept] + float(params.control_latency[0])
-    speed = read_at(later, recording.time, recording.motor_velocity[:, motors])
-    before = np.maximum(kept - 1, 0)
+    index = np.searchsorted(segment.command_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
+    driven = segment.kind[index] == Mode.PWM
+    states = segment.states[driven]
+    # The speeds of a state are older than its torques by the control latency.
+    later = recording.time[states] + float(params.control_latency[0])
+    speed = interpolate_columns(later, recording.time, recording.motor_velocity[:, motors])
+    before = np.maximum(states - 1, 0)
     current = motor_current(
-        segment.order[order][driven][:, motors], speed, recording.voltage[before][:, None], params.torque_constant[0],
+        segment.command[index][driven][:, motors], speed, recording.voltage[before][:, None], params.torque_constant[0],
         params.resistance[0], robot.dc_motor.voltage_clip,
     )  # fmt: skip
-    torque = np.abs(recording.motor_torque[kept][:, motors]) / (params.motor_strength[0] * (1 + gains))[motors]
+    torque = np.abs(recording.motor_torque[states][:, motors]) / (params.motor_strength[0] * (1 + gains))[motors]
     magnitude = np.abs(current).ravel()
     edges = np.arange(0.0, magnitude.max() + 2.0, 2.0)
     place = np.digitize(magnitude, edges) - 1
     bins = [place == k for k in range(len(edges)) if np.sum(place == k) >= 20]
     x = np.array([np.mean(magnitude[inside]) for inside in bins])
     measured = np.array([np.mean(torque.ravel()[inside]) for inside in bins])
-    sheet = np.asarray(motor_torque(x, 1.0, *robot.torque_table))
+    nominal = np.asarray(motor_torque(x, 1.0, *robot.torque_table))
     labels = "torque of a motor of nominal strength", "current [A]", "torque [N m]"
-    return Series(*labels, x, measured, np.full(len(x), np.nan), sheet, points=True)
+    return Series(*labels, x, measured, np.full(len(x), np.nan), nominal, points=True)
 
 
 @dataclass(frozen=True)
 class SpikeResponses:
-    """Delays of K clear responses to spikes."""
+    """Delays of K clear motor responses to duty spikes."""
 
     age: Array
-    """Of the readings when the robot sends states (K,) [s]."""
+    """Age of the readings in a state at the time of sending it (K,) [s]."""
     host: Array
-    """From sending the spike to the first state with motion, on the host's clock (K,) [s]."""
-    tried: int
-    """Number of spikes, times motors."""
+    """Time from sending the spike to receiving the first state with motion, on the host's clock (K,) [s]."""
+    total: int
+    """Number of responses that were evaluated: spikes times motors."""
 
 
 def fit_latency(
@@ -169,22 +170,24 @@ def fit_latency(
     spikes = measure_spikes(recording)
     if len(spikes.age) < MIN_RESPONSES:
         raise SurefootError(
-            f"only {len(spikes.age)} of {spikes.tried} responses to spikes are clear; at least {MIN_RESPONSES} are "
+            f"only {len(spikes.age)} of {spikes.total} responses to spikes are clear; at least {MIN_RESPONSES} are "
             f"needed: do the motors move at all?"
         )
     lead = float(recording.meta["lead"])
     fit = fit_on_rack(robot, recording, _segment(recording, "fit"), prior, report, every=3)
-    kept = ("servo_latency", "control_latency")
-    estimates = {e.name: e for e in rack_estimates(robot, fit, prior) if e.name in kept}
+    latencies = ("servo_latency", "control_latency")
+    estimates = {e.name: e for e in rack_estimates(robot, fit, prior) if e.name in latencies}
     at_robot, at_host = _median("spike_at_robot", spikes.age), _median("spike_at_host", spikes.host)
     age, replayed = at_robot.value + lead, estimates["control_latency"].value
     notes = [
-        f"readings are {1e3 * at_robot.value:.2f} ms old when the robot sends them; from sending a spike to reading "
-        f"of the motion {1e3 * at_host.value:.2f} ms pass at this computer ({len(spikes.age)} of {spikes.tried} "
-        f"responses are clear); control_latency counts {1e3 * lead:g} ms from sending to use"
+        f"readings are {1e3 * at_robot.value:.2f} ms old when the robot sends them; this computer sees the motion "
+        f"{1e3 * at_host.value:.2f} ms after it sends a spike ({len(spikes.age)} of {spikes.total} responses are "
+        f"clear); control_latency includes {1e3 * lead:g} ms from sending a state to its use"
     ]
     if abs(age - replayed) > AGE_TOLERANCE:
-        notes.insert(0, f"readings are {1e3 * age:.1f} ms old by spikes, {1e3 * replayed:.1f} ms by replay")
+        notes.insert(
+            0, f"readings are {1e3 * age:.1f} ms old according to spikes, {1e3 * replayed:.1f} ms according to replay"
+        )
     counts, edges = np.histogram(
         1e3 * spikes.age, np.linspace(1e3 * spikes.age.min() - 0.2, 1e3 * spikes.age.max() + 0.2, 25)
     )
@@ -198,49 +201,56 @@ def fit_latency(
         "latency",
         robot.name,
         (*estimates.values(), at_robot, at_host, estimate_voltage(recording)),
-        correlations=tuple(pair for pair in fit.strongest_correlations(20) if any(name in pair for name in kept)),
+        correlations=tuple(pair for pair in fit.strongest_correlations(20) if any(name in pair for name in latencies)),
         notes=tuple(notes),
         series=(histogram,),
     )
 
 
 def measure_spikes(recording: Recording) -> SpikeResponses:
-    """Fit each motor's response to each spike.
+    """Fit the response of each motor to each spike.
 
-    A torque from 0 to T gives a free motor the distance v (t^2 / 2T) until T and v (t - T/2) later; braking adds
-    c (t - T)^2. Readings of time t are as they were at t - age.
+    A torque from time 0 to T moves a free motor by v t^2 / (2 T) until T, and by v (t - T/2) later; braking adds
+    c (t - T)^2. A reading at time t shows the motion at t - age.
     """
     dt = float(recording.meta["servo_period"])
-    ages, hosts, tried = [], [], 0
+    ages, hosts, total = [], [], 0
     driven = np.abs(recording.sent_value).max(axis=1) > 0
     groups = [k for k, phase in enumerate(recording.meta["phases"]) if (phase["name"], phase["mode"]) == SPIKES]
     for c in np.flatnonzero(driven[:-1] & np.isin(recording.sent_phase[:-1], groups)):
         begin, end = dt * recording.servo_step(recording.arrival[c : c + 2])
-        kept = (recording.time > begin - BEFORE) & (recording.time < begin + MAX_AGE + WINDOW)
-        since, angles, speeds = (values[kept] for values in (recording.time - begin, recording.motor_angle,
+        near = (recording.time > begin - PRE_WINDOW) & (recording.time < begin + MAX_AGE + WINDOW)
+        since, angles, speeds = (values[near] for values in (recording.time - begin, recording.motor_angle,
                                                              recording.motor_velocity))  # fmt: skip
         age, clear = _response_age(since, angles, speeds, float(end - begin))
         host = np.interp(begin + age, recording.time, recording.host_time) - recording.sent_time[c]
-        tried += len(age)
+        total += len(age)
         ages += age[clear].tolist()
         hosts += host[clear].tolist()
-    return SpikeResponses(np.array(ages), np.array(hosts), tried)
+    return SpikeResponses(np.array(ages), np.array(hosts), total)
 
 
 def _response_age(since: Array, angles: Array, speeds: Array, length: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the age at which the fit of each motor's readings (T, M) is best (M,) [s], and if it clearly moved."""
+    """Return the age of each motor's readings (M,) [s] by the best fit of its response, and whether it clearly moved.
+
+    Args:
+        since: time of each reading since the spike began (T,) [s].
+        angles: motor angles (T, M) [rad].
+        speeds: motor speeds (T, M) [rad/s].
+        length: length of the spike [s].
+    """
     age, clear = np.zeros(angles.shape[1]), np.zeros(angles.shape[1], np.bool_)
-    quiet = since <= 0
-    before = np.median(speeds[quiet], axis=0)
-    # Of all motors: a handful of readings of one are too few.
-    noise = float(np.std(speeds[quiet] - before)) + 1e-9
+    before_spike = since <= 0
+    before = np.median(speeds[before_spike], axis=0)
+    # The noise is pooled over all motors, because each one has only a few readings.
+    noise = float(np.std(speeds[before_spike] - before)) + 1e-9
     for motor in range(angles.shape[1]):
-        # It starts to move about when it has half of the spike's speed.
+        # Rough estimate of the start of the motion: the reading at which half of the maximum speed is reached.
         gained = np.abs(speeds[:, motor] - before[motor])
         rough = float(since[int(np.argmax(gained > gained.max() / 2))])
         if gained.max() < MIN_SPEED_RATIO * noise or rough < 0:
             continue
-        used = (since > rough - BEFORE) & (since < rough + WINDOW)
+        used = (since > rough - PRE_WINDOW) & (since < rough + WINDOW)
         ages = rough + np.arange(-0.006, 0.003, AGE_STEP)
         costs = [_response_cost(since[used], angles[used, motor], one, length) for one in ages]
         best = int(np.argmin(costs))
@@ -254,7 +264,7 @@ def _response_age(since: Array, angles: Array, speeds: Array, length: float) -> 
 
 
 def _response_cost(since: Array, angles: Array, age: float, length: float) -> float:
-    """Return the sum of squared errors [rad2] of one motor's angles (T,) for an age of its readings."""
+    """Return the sum of squared residuals [rad2] of one motor's angles (T,) for an assumed age of its readings."""
     t = np.maximum(since - age, 0.0)
     distance = np.where(t < length, t * t / (2 * length), t - length / 2)
     basis = np.stack([np.ones_like(t), since, distance, np.maximum(t - length, 0.0) ** 2], axis=1)
@@ -263,7 +273,7 @@ def _response_cost(since: Array, angles: Array, age: float, length: float) -> fl
 
 
 def _median(name: str, values: Array) -> ParameterEstimate:
-    """Return a median; its deviation is 1.25 times that of a mean, by the interquartile range."""
+    """Return the median of values; its standard error is 1.25 times the mean's, from the interquartile range."""
     spread = float(np.subtract(*np.percentile(values, [75, 25]))) / 1.349
     deviation = 1.2533 * max(spread, 1e-6) / np.sqrt(len(values))
     return ParameterEstimate(name, float(np.median(values)), deviation, "s", low=0.0)

@@ -1,4 +1,4 @@
-"""Fit of a replay to a recording on the rack: servo, motors, friction, legs' mass and inertia, both latencies."""
+"""Fit by replay of a recording on the rack: servo, motors, friction, leg mass and inertia, both latencies."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from surefoot.identify.fitting import Fit, fit_least_squares
 from surefoot.identify.model import GAIN_DEVIATION, TORQUE_GAIN, Nuisance, Observations, ReplayModel, Unknown
 from surefoot.identify.recording import Recording
 from surefoot.identify.replay import ReplayedReadings, Replayer, Segment
-from surefoot.identify.result import FitProgress, ParameterEstimate, with_floor
+from surefoot.identify.result import FitProgress, ParameterEstimate, add_model_error
 from surefoot.robot import PhysicalParams, RobotDescription
 
 NOISE = np.array([2e-4, 0.05, 0.02])
-"""Standard deviations of readings of angles [rad], speeds [rad/s] and torques [N m]."""
+"""Standard deviations of the noise of angles [rad], speeds [rad/s] and torques [N m]."""
 LATENCIES = np.arange(0.0, 0.081, 0.002)
-"""Control latencies [s] that are tried as a start: fits with sines have several local minima."""
+"""Initial values of the control latency [s] to search over: fits to sines have several local minima."""
 MAX_STARTS = 3
-"""Local minima from which fits start, at most."""
+"""Maximum number of local minima from which fits are started."""
 GOOD_ANGLE_ERROR = 0.002
-"""Error of angles [rad] below which no other start is tried: ten times an encoder's, a hundredth of that in a wrong
-local minimum."""
+"""Error of angles [rad] below which no further start is tried: ten times the error of an encoder, and a hundredth of
+the error in a wrong local minimum."""
 _RELATIVE_STEP = 1e-6
-"""Steps of finite differences, in shares of a parameter's usual size; simulations on the rack are that smooth."""
+"""Step of finite differences relative to a parameter's typical size; simulations on the rack are smooth enough."""
 _MAX_ROUNDS = 3
 _SIZES = {
     "torque_constant": 0.1,
@@ -43,20 +43,24 @@ _MOTOR_SIZES = {"motor_strength": 1.0, "motor_friction": 0.1, "motor_viscous_fri
 
 
 def moving_legs(robot: RobotDescription, recording: Recording) -> NDArray[np.int64]:
-    """Return the motors of legs whose motors all move: a motor that stands still changes what the other one does."""
+    """Return the motors of the legs in which all motors move, because a still motor affects the other motor of its leg.
+
+    Raises:
+        SurefootError: every leg has a motor that never moves.
+    """
     still = recording.still_motors
-    kept = [motor for pair in robot.leg_motor_index.tolist() if still.isdisjoint(pair) for motor in pair]
-    if not kept:
+    moving = [motor for pair in robot.leg_motor_index.tolist() if still.isdisjoint(pair) for motor in pair]
+    if not moving:
         raise SurefootError("every leg has a motor that never moves: nothing can be identified")
-    return np.array(sorted(kept))
+    return np.array(sorted(moving))
 
 
 def replay_errors(
     readings: ReplayedReadings, recording: Recording, segment: Segment, every: int = 1, gain: Array | float = 1.0
 ) -> Array:
-    """Return angles [rad], speeds [rad/s], torques [N m] of K robots less those recorded (K, 3, T, M).
+    """Return simulated minus recorded angles [rad], speeds [rad/s] and torques [N m] of K robots (K, 3, T, M).
 
-    One state of `every` is compared. Torque reports are multiplied by a gain (K, 1, M).
+    Every `every`-th state is compared. Simulated torques are multiplied by a gain (K, 1, M).
     """
     states = segment.states[::every]
     errors = [
@@ -75,9 +79,10 @@ def rack_observations(
     every: int = 3,
     noise: Array = NOISE,
 ) -> Observations:
-    """Return the observations of a segment, of one state of `every`; legs with a motor that never moves are left out.
+    """Return every `every`-th state of a segment as observations, without legs that have a motor that never moves.
 
-    Noise is of angles, speeds and torques (3,). On a rack legs do not affect each other: the label is the leg.
+    `noise` holds the standard deviations of angles, speeds and torques (3,). Observations are labelled by leg, because
+    legs do not affect each other on a rack.
     """
     motors = moving_legs(robot, recording)
 
@@ -99,9 +104,10 @@ def rack_observations(
 def rank_latencies(
     robot: RobotDescription, recording: Recording, segment: Segment, prior: PhysicalParams, every: int
 ) -> list[float]:
-    """Return the local minima of the angles' error over `LATENCIES` [s], best first.
+    """Return the local minima [s] of the angle error over `LATENCIES`, best first.
 
-    All else is as in `prior`: only the reading differs, so that one simulation serves for all.
+    All other parameters are as in `prior`. The latency only changes how the simulation is read, so that a single
+    simulation is enough.
     """
     angles = Replayer(robot, 1).angles_with_latencies(segment, prior, LATENCIES)[:, ::every]
     errors = (angles - recording.motor_angle[segment.states[::every]])[..., moving_legs(robot, recording)]
@@ -114,19 +120,19 @@ def rank_latencies(
 def rack_unknowns(
     robot: RobotDescription, prior: PhysicalParams, latency: float, motors: NDArray[np.int64]
 ) -> list[Unknown]:
-    """Return the unknowns of motors, around the prior (one row) and a control latency [s]."""
+    """Return the unknowns of a fit of some motors, starting at the prior (one row) and a control latency [s]."""
     unknowns = []
     for name, size in _SIZES.items():
         start = latency if name == "control_latency" else float(np.mean(getattr(prior, name)[0]))
         unknowns.append(Unknown(name, start, *robot.allowed[name], _RELATIVE_STEP * size))
     for motor in motors.tolist():
         leg, place = np.argwhere(robot.leg_motor_index == motor)[0].tolist()
-        of_motor = partial(Unknown, index=motor, affects=("leg", leg))
+        motor_unknown = partial(Unknown, index=motor, affects=("leg", leg))
         for number, (name, size) in enumerate(_MOTOR_SIZES.items()):
             start = float(getattr(prior, name)[0, motor])
             step, colour = _RELATIVE_STEP * size, 2 * number + place
-            unknowns.append(of_motor(name, start, *robot.allowed[name], step, colour=colour))
-        unknowns.append(of_motor(TORQUE_GAIN, 0.0, -0.5, 0.5, 1e-4, prior=GAIN_DEVIATION, colour=6 + place))
+            unknowns.append(motor_unknown(name, start, *robot.allowed[name], step, colour=colour))
+        unknowns.append(motor_unknown(TORQUE_GAIN, 0.0, -0.5, 0.5, 1e-4, prior=GAIN_DEVIATION, colour=6 + place))
     return unknowns
 
 
@@ -138,7 +144,7 @@ def fit_on_rack(
     report: FitProgress,
     every: int = 5,
 ) -> Fit:
-    """Fit all parameters that are identifiable on a rack to one state of `every` of a segment."""
+    """Fit all parameters that are identifiable on a rack to every `every`-th state of a segment."""
     motors = moving_legs(robot, recording)
     fits = []
     for latency in rank_latencies(robot, recording, segment, prior, 3 * every)[:MAX_STARTS]:
@@ -159,27 +165,31 @@ def _fit_rounds(
     batch: int,
     report: FitProgress,
 ) -> tuple[Fit, float]:
-    """Fit from one start, again with the noise that the last fit has left, until it holds; return the angles' noise."""
+    """Fit from one start, and repeat with the residual noise of the last fit until the noise is consistent.
+
+    Returns:
+        The fit, and the noise of angles that it assumed [rad].
+    """
     noise, start = NOISE, None
     for _ in range(_MAX_ROUNDS):
         model = ReplayModel(unknowns, prior, [observe(noise=noise)], batch)
         fit = fit_least_squares(model, start, lambda k, cost: report(f"iteration {k}", cost))
-        # Errors of the model count as noise, or intervals would be too narrow.
-        left, used = np.sqrt(np.mean(fit.residuals.reshape(3, -1) ** 2, axis=1)), noise
-        if np.all(left < 1.15):
+        # Model errors count as noise; otherwise intervals would be too narrow.
+        ratio, used = np.sqrt(np.mean(fit.residuals.reshape(3, -1) ** 2, axis=1)), noise
+        if np.all(ratio < 1.15):
             break
-        noise, start = np.maximum(left, 1.0) * noise, fit.values
+        noise, start = np.maximum(ratio, 1.0) * noise, fit.values
     return fit, float(used[0])
 
 
 def rack_estimates(robot: RobotDescription, fit: Fit, prior: PhysicalParams) -> list[ParameterEstimate]:
-    """Return estimates of physical parameters; those of motors that were not fitted are not identifiable."""
+    """Return estimates of the physical parameters; parameters of motors that were not fitted are not identifiable."""
     estimates = []
     for u, value, deviation, identifiable in zip(
         fit.unknowns, fit.values.tolist(), fit.deviation.tolist(), fit.identifiable.tolist(), strict=True
     ):
         if u.name != TORQUE_GAIN:
-            deviation = with_floor(u.name, value, deviation)
+            deviation = add_model_error(u.name, value, deviation)
             estimates.append(ParameterEstimate.within_bounds(robot, u.name, value, deviation, u.index, identifiable))
     fitted = {u.index for u in fit.unknowns}
     for motor in sorted(set(range(robot.num_motors)) - fitted):

@@ -1,1 +1,1 @@
-"""Robots drawn in software: scene, renderer, video."""
+"""Software rendering of robots: scene, renderer, video."""

@@ -1,4 +1,4 @@
-"""The part of a ground that is drawn around a place, as triangles."""
+"""Part of the ground that is drawn around a position, as triangles."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from surefoot.arrays import Array
 from surefoot.world.ground import Ground
 
 REACH = 12.0
-"""Least distance [m] along x and y up to which a ground is drawn; in pictures it has faded into the haze there."""
+"""Minimum distance along x and y up to which the ground is drawn, where it has faded into the haze [m]."""
 _STRIDE = 4.0
-"""Distance [m] of the places around which parts are cut out, so that one serves many pictures."""
+"""Spacing of the positions around which parts are cut out, so that one part serves many frames [m]."""
 MIN_STEP = 0.015
-"""Height [m] of a step from which its edge has a line."""
+"""Minimum height of a step whose edge is drawn as a line [m]."""
 _MAX_CELLS = 600
-"""Cells of a part along each side; finer ones are joined."""
+"""Maximum number of cells of a part along each side; finer cells are merged."""
 
 
 def ground_around(ground: Ground, place: Array) -> Ground:
-    """Return the part of a ground within `REACH` of a place (2,); its border goes on where it ends."""
+    """Return the part of a ground within `REACH` of a position (2,) [m]; its border is extended beyond its end."""
     return _part(ground, *(_STRIDE * np.round(place / _STRIDE)).tolist())
 
 
@@ -29,27 +29,27 @@ def ground_around(ground: Ground, place: Array) -> Ground:
 def _part(ground: Ground, x: float, y: float) -> Ground:
     reach = REACH + 0.5 * _STRIDE
     count = int(np.ceil(2 * reach / ground.cell))
-    every = -(-count // _MAX_CELLS)
-    count = -(-count // every)
+    stride = -(-count // _MAX_CELLS)
+    count = -(-count // stride)
     first = np.floor((np.array([x, y]) - reach - ground.grid[:2]) / ground.cell).astype(int)
-    # Cells along x and y whose low end is that of a joined one, and whose high end is; beyond the border, its heights.
+    # Cells at the low and high ends of merged cells along x and y; beyond the border, the border's heights are used.
     ends = []
     for start, size in zip(first, ground.corners.shape[:2], strict=True):
-        at = start + every * np.arange(count) + [[0], [every - 1]]
+        at = start + stride * np.arange(count) + [[0], [stride - 1]]
         ends.append((at.clip(0, size - 1), np.where(at < 0, 0, np.where(at >= size, 1, [[0], [1]]))))
     (i, end_x), (j, end_y) = ends
     corners = np.empty((count, count, 2, 2))
     for a in (0, 1):
         for b in (0, 1):
             corners[:, :, a, b] = ground.corners[i[a, :, None], j[b], end_x[a, :, None], end_y[b]]
-    course = ground.course[i[0, :, None], j[0]] if every == 1 else corners.mean(axis=(2, 3))
-    middle = ground.grid[:2] + ground.cell * (first + 0.5 * every * count)
-    return Ground(corners, every * ground.cell, (float(middle[0]), float(middle[1])), course)
+    course = ground.smooth_heights[i[0, :, None], j[0]] if stride == 1 else corners.mean(axis=(2, 3))
+    middle = ground.grid[:2] + ground.cell * (first + 0.5 * stride * count)
+    return Ground(corners, stride * ground.cell, (float(middle[0]), float(middle[1])), course)
 
 
 @functools.lru_cache(maxsize=16)
 def faces(part: Ground) -> tuple[Array, Array]:
-    """Return a ground's triangles (T, 3, 3), and their unit normals (T, 3)."""
+    """Return the triangles (T, 3, 3) of a ground and their unit normals (T, 3)."""
     triangles = part.triangles()
     normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return triangles, normals / np.linalg.norm(normals, axis=1, keepdims=True)
@@ -57,7 +57,7 @@ def faces(part: Ground) -> tuple[Array, Array]:
 
 @functools.lru_cache(maxsize=16)
 def step_edges(part: Ground) -> NDArray[np.bool_]:
-    """Return whether the ground steps down at the sides of cells (X, Y, 2, 2): along x, y; at the low, high end."""
+    """Return whether the ground steps down at each side of a cell (X, Y, 2, 2); last axes: x or y, low or high side."""
     edges = np.zeros(part.corners.shape, np.bool_)
     for axis in (0, 1):
         cells = part.corners if axis == 0 else part.corners.transpose(1, 0, 3, 2)

@@ -1,4 +1,4 @@
-"""Triangles of a robot for pictures and pages: round surfaces with smooth normals, edges that stay sharp."""
+"""Triangle meshes of robots for rendering, with smooth normals on round surfaces and sharp edges elsewhere."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from surefoot.robot.appearance import Appearance, VisualPart
 from surefoot.robot.urdf import Color
 
 _CREASE = np.cos(np.radians(40.0))
-"""Cosine of the angle between two triangles over which the edge between them is sharp."""
+"""Cosine of the angle between two triangles above which their common edge is sharp."""
 _SAME_PLACE = 1e-5
-"""Distance of vertices that are taken for one [m]."""
+"""Distance below which vertices are merged [m]."""
 
 
 def smooth(vertices: NDArray[Any], faces: NDArray[np.int32]) -> tuple[Array, Array, NDArray[np.int32]]:
-    """Return points (P, 3) and their normals (P, 3), and triangles (F, 3) of these, out of vertices and faces.
+    """Return points (P, 3), their normals (P, 3) and triangles (F, 3) from vertices and faces.
 
-    A corner's normal is the mean of those of the triangles around it that meet its own without a sharp edge, weighted
-    by their angles there. Corners of one place and one normal are one point.
+    The normal at a corner is the mean normal of the adjacent triangles that are not separated by a sharp edge, weighted
+    by their angles at the corner. Corners with the same position and normal are merged to one point.
     """
     corners = vertices[faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -33,7 +33,7 @@ def smooth(vertices: NDArray[Any], faces: NDArray[np.int32]) -> tuple[Array, Arr
     weighted = (np.arccos(np.clip(cosines, -1.0, 1.0))[..., None] * units[:, None]).reshape(-1, 3)
     _, place = np.unique(np.rint(vertices / _SAME_PLACE).astype(np.int64), axis=0, return_inverse=True)
     at = place.reshape(-1)[faces].reshape(-1)
-    # All pairs of corners of one place: each corner beside every one in its group of the sorted list.
+    # All pairs of corners at the same position: each corner with every corner in its group of the sorted list.
     order, count = np.argsort(at, kind="stable"), np.bincount(at)
     first = np.cumsum(count) - count
     one = np.repeat(np.arange(len(at)), count[at])
@@ -49,10 +49,9 @@ def smooth(vertices: NDArray[Any], faces: NDArray[np.int32]) -> tuple[Array, Arr
 
 
 def link_meshes(appearance: Appearance) -> list[tuple[str, Color, Array, NDArray[np.int32]]]:
-    """Return the parts of each color of each link as one mesh: link, color, points (P, 3) [m], triangles (F, 3).
+    """Return one mesh per link and color: link, color, points (P, 3) [m], triangles (F, 3).
 
-    Where an edge is sharp its points are there twice, so that normals that are computed from the mesh are those of
-    `smooth`.
+    Points at sharp edges are duplicated, so that normals computed from the mesh are the same as from `smooth`.
     """
     groups: dict[tuple[str, Color], list[VisualPart]] = {}
     for part in appearance.parts:
@@ -65,7 +64,7 @@ def link_meshes(appearance: Appearance) -> list[tuple[str, Color, Array, NDArray
 
 
 def join(meshes: Sequence[tuple[Array, Array, NDArray[np.int32]]]) -> tuple[Array, Array, NDArray[np.int32]]:
-    """Return points, normals and triangles of several meshes as one."""
+    """Join points, normals and triangles of several meshes."""
     points, normals, faces = zip(*meshes, strict=True)
     starts = np.cumsum([0, *map(len, points[:-1])])
     shifted = np.concatenate([part + start for part, start in zip(faces, starts, strict=True)])
@@ -77,27 +76,27 @@ def join(meshes: Sequence[tuple[Array, Array, NDArray[np.int32]]]) -> tuple[Arra
 
 
 class Mesh:
-    """All parts of a robot as one set of triangles, in the frames of their links.
+    """Mesh of all visual parts of a robot, in the frames of their links.
 
     Args:
         appearance: the parts.
-        links: their names, in the order of the poses to come.
+        links: names of links, in the order of the poses given to `place`.
     """
 
     def __init__(self, appearance: Appearance, links: list[str]) -> None:
         parts = appearance.parts
         pieces = [smooth(part.vertices, part.faces) for part in parts]
         self.points, self.normals, self.faces = join(pieces)
-        """Places [m] and normals, (P, 3), and indices (F, 3) of points."""
+        """Positions [m] and normals (P, 3), and point indices of triangles (F, 3)."""
         counts = [len(points) for points, _, _ in pieces]
         self.link = np.repeat([links.index(part.link) for part in parts], counts).astype(np.int32)
-        """Index (P,) of each point's link."""
+        """Link index of each point (P,)."""
         counts = [len(faces) for _, _, faces in pieces]
         self.color = np.repeat([part.color for part in parts], counts, axis=0).astype(np.float32)
-        """Red, green and blue (F, 3), 0 to 1."""
+        """Red, green and blue of each triangle (F, 3), 0 to 1."""
 
     def place(self, poses: Array) -> tuple[Array, Array]:
-        """Return all points and normals (P, 3) of links with these poses (L, 4, 4), in the poses' world."""
+        """Return all points and normals (P, 3) in the world frame, for poses (L, 4, 4) of the links."""
         turn, shift = poses[self.link, :3, :3].astype(np.float32), poses[self.link, :3, 3].astype(np.float32)
         points = np.einsum("pij,pj->pi", turn, self.points) + shift
         return points, np.einsum("pij,pj->pi", turn, self.normals)

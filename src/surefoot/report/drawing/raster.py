@@ -1,6 +1,7 @@
-"""Compiled loops of the renderer: triangles to pixels, light on surfaces, and the ground.
+"""Compiled loops of the renderer: rasterization of triangles, lighting of surfaces, and the ground.
 
-Pixels are counted from the top left; a pixel's centre is at a half. Colors are linear: squares of those of a picture.
+Pixels are counted from the top left; the centre of pixel 0 is at 0.5. Colors are linear, the squares of the image's
+values.
 """
 
 from __future__ import annotations
@@ -13,28 +14,29 @@ from numba import njit
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 SKY, UP, SUN = 0.34, 0.16, 0.72
-"""Light on a surface: from all sides, more from above than from below, and from the sun."""
+"""Lighting: ambient light, its increase from below to above, and sunlight."""
 _SHINE, _RIM = 0.22, 0.10
-"""Reflections: of the sun on a glossy surface, and of the sky where a surface is seen at a slant."""
+"""Reflections: of the sun on a glossy surface, and of the sky at grazing angles."""
 
 
 def compiled(function: Function) -> Function:
     """Compile a loop of the renderer."""
-    # Without numba's runtime it counts no references to the arrays in tuples; see actuator/compiled.py.
+    # Without numba's runtime, references to arrays in tuples are not counted; see actuator/compiled.py.
     options = {"cache": True, "nogil": True, "forceinline": True, "error_model": "numpy", "fastmath": True}
     return cast(Function, njit(**options, _nrt=False)(function))
 
 
 @compiled
 def rasterize(points: Any, faces: Any, nearest: Any, face_at: Any) -> None:
-    """Write for each pixel the face in front, and how near it is.
+    """Find the face in front at each pixel (depth buffer).
 
     Args:
-        points: (P, 3), column and row in pixels, and a number that is greater for what is in front and linear over a
-            triangle of the picture. Faces with a corner where it is not over 0 are left out.
-        faces: (F, 3) indices of points.
-        nearest: (H, W) numbers in front so far; overwritten.
-        face_at: (H, W) faces in front; overwritten.
+        points: (P, 3) column and row in pixels, and proximity: a value that is larger for nearer points and linear over
+            a triangle in the image, such as the inverse depth. Faces with a corner whose proximity is not positive are
+            skipped.
+        faces: (F, 3) point indices.
+        nearest: (H, W) largest proximity so far; updated.
+        face_at: (H, W) face in front; updated.
     """
     height, width = nearest.shape
     for f in range(len(faces)):
@@ -47,7 +49,7 @@ def rasterize(points: Any, faces: Any, nearest: Any, face_at: Any) -> None:
             continue
         top = max(int(np.ceil(min(ya, yb, yc) - 0.5)), 0)
         bottom = min(int(np.floor(max(ya, yb, yc) - 0.5)), height - 1)
-        # Shares of corners b and c, which sum to 1 with that of a, grow evenly along a row.
+        # The barycentric coordinates of corners b and c (all three sum to 1) change linearly along a row.
         step_b, step_c = (yc - ya) / area, (ya - yb) / area
         step_a = -step_b - step_c
         step = step_b * (zb - za) + step_c * (zc - za)
@@ -76,43 +78,43 @@ def rasterize(points: Any, faces: Any, nearest: Any, face_at: Any) -> None:
 
 
 class Light(NamedTuple):
-    """The sun, and where it does not reach; places on the ground are those to which it casts shadows."""
+    """Sunlight and shadow, on a grid of ground positions to which objects are projected along the light."""
 
     direction: Any
-    """Unit vector (3,) to the sun."""
+    """Unit vector towards the sun (3,)."""
     occluder: Any
-    """Greatest height (H, W) of what stands in the light's way to places on the ground [m], rows along y."""
+    """Maximum height of objects that block the light to each ground position (H, W) [m], rows along y."""
     shadow: Any
-    """How dark the ground is there (H, W), 0 to 1."""
+    """Darkness of the ground at each position (H, W), 0 to 1."""
     low: Any
-    """Place (2,) of the first corner [m]."""
+    """Position of the first grid corner (2,) [m]."""
     texel: float
-    """Distance of two places [m]."""
+    """Grid spacing [m]."""
 
 
 @compiled
-def light_share(light: Light, x: float, y: float, z: float) -> float:
-    """Return the share of the sun that reaches a point at height z [m] on the ray to (x, y) on the ground."""
+def sunlit_fraction(light: Light, x: float, y: float, z: float) -> float:
+    """Return the fraction of sunlight that reaches a point at height z [m] on the light ray to (x, y) on the ground."""
     height, width = light.occluder.shape
     column, row = (x - light.low[0]) / light.texel - 1.0, (y - light.low[1]) / light.texel - 1.0
     if not (column >= 0.0 and row >= 0.0 and column < width - 2 and row < height - 2):
         return 1.0
     j, i = int(column), int(row)
     u, v = column - j, row - i
-    # Mean over a square of two texels around the place: what is above the point takes its light.
-    share = 0.0
+    # Average over a square of two texels around the position: objects above the point block its light.
+    fraction = 0.0
     for di in range(3):
         tall = 1.0 - v if di == 0 else (v if di == 2 else 1.0)
         for dj in range(3):
             if light.occluder[i + di, j + dj] <= z:
-                share += tall * (1.0 - u if dj == 0 else (u if dj == 2 else 1.0))
-    return 0.25 * share
+                fraction += tall * (1.0 - u if dj == 0 else (u if dj == 2 else 1.0))
+    return 0.25 * fraction
 
 
 @compiled
-def dark_share(x: float, y: float, reach_x: float, reach_y: float, tile: float) -> float:
-    """Return the share of dark squares in a pixel that reaches so far along x and y around a place [m]."""
-    # A wave of +1 and -1 along x times one along y, each averaged over the pixel.
+def dark_fraction(x: float, y: float, reach_x: float, reach_y: float, tile: float) -> float:
+    """Return the fraction of dark squares in a pixel with a given extent along x and y around a position [m]."""
+    # Product of square waves (+1, -1) along x and y, each averaged over the pixel.
     wide_x, wide_y = 0.5 * reach_x / tile, 0.5 * reach_y / tile
     ax, ay = 0.5 * (x / tile - wide_x), 0.5 * (y / tile - wide_y)
     bx, by = ax + wide_x, ay + wide_y
@@ -122,8 +124,8 @@ def dark_share(x: float, y: float, reach_x: float, reach_y: float, tile: float) 
 
 
 @compiled
-def shadow_share(light: Light, x: float, y: float) -> float:
-    """Return how dark the ground's shadow is at a place [m], 0 to 1."""
+def shadow_fraction(light: Light, x: float, y: float) -> float:
+    """Return the darkness of the shadow at a ground position [m], 0 to 1."""
     rows, columns = light.shadow.shape
     column, row = (x - light.low[0]) / light.texel - 0.5, (y - light.low[1]) / light.texel - 0.5
     if not (column >= 0.0 and row >= 0.0 and column < columns - 1 and row < rows - 1):
@@ -137,77 +139,77 @@ def shadow_share(light: Light, x: float, y: float) -> float:
 
 @compiled
 def paint_ground(picture: Any, ground: Any, eye: Any, tile: float, light: Light, dim: float) -> None:
-    """Paint the ground, which fills the last rows of a picture.
+    """Paint flat ground, which fills the last rows of an image.
 
     Args:
-        picture: (H, W, 3) uint8.
-        ground: (R, W, 8), for each pixel of the last R rows: where its ray meets the ground, from below the eye, and
-            how far it reaches there, both along x and y [m]; color of a bright square, 0 to 255, and how much darker a
-            dark one is, as a share of its linear color.
-        eye: (3,) m.
+        picture: (H, W, 3) image, uint8.
+        ground: (R, W, 8), for each pixel of the last R rows: where its ray meets the ground relative to the point below
+            the eye, and the pixel's extent there, both along x and y [m]; color of a bright square, 0 to 255; and the
+            relative reduction of the linear color in a dark square.
+        eye: (3,) position of the eye [m].
         tile: side of a square [m].
-        light: the sun.
-        dim: how much darker the ground is in full shadow, as a share of its linear color.
+        light: sunlight.
+        dim: relative reduction of the linear color in full shadow.
     """
     first = len(picture) - len(ground)
     for i in range(ground.shape[0]):
         for j in range(ground.shape[1]):
             x, y = eye[0] + ground[i, j, 0], eye[1] + ground[i, j, 1]
-            share = 1.0 - ground[i, j, 7] * dark_share(x, y, ground[i, j, 2], ground[i, j, 3], tile)
-            share *= 1.0 - dim * shadow_share(light, x, y)
-            share = np.sqrt(share)
+            brightness = 1.0 - ground[i, j, 7] * dark_fraction(x, y, ground[i, j, 2], ground[i, j, 3], tile)
+            brightness *= 1.0 - dim * shadow_fraction(light, x, y)
+            brightness = np.sqrt(brightness)
             for k in range(3):
-                picture[first + i, j, k] = np.uint8(ground[i, j, 4 + k] * share)
+                picture[first + i, j, k] = np.uint8(ground[i, j, 4 + k] * brightness)
 
 
 class SurfaceArrays(NamedTuple):
-    """Triangles to be painted."""
+    """Triangles to paint."""
 
     pixels: Any
-    """Column, row and inverse depth (P, 3) of points in the region, in parts of pixels."""
+    """Column, row (in subpixels of the region) and inverse depth of points (P, 3)."""
     normals: Any
-    """Normals (P, 3) at points."""
+    """Normals at points (P, 3)."""
     faces: Any
-    """Indices (F, 3) of points."""
+    """Point indices of faces (F, 3)."""
     colors: Any
-    """Linear colors (F, 3)."""
+    """Linear colors of faces (F, 3)."""
 
 
 @compiled
 def _color(
     x: float, y: float, f: int, surface: SurfaceArrays, eye: Any, rays: Any, light: Light
 ) -> tuple[float, float, float]:
-    """Return the linear color of face f where the ray through (x, y) meets it."""
+    """Return the linear color of face f at its intersection with the ray through (x, y)."""
     a, b, c = surface.faces[f, 0], surface.faces[f, 1], surface.faces[f, 2]
     xa, ya, za = surface.pixels[a, 0], surface.pixels[a, 1], surface.pixels[a, 2]
     xb, yb, zb = surface.pixels[b, 0] - xa, surface.pixels[b, 1] - ya, surface.pixels[b, 2]
     xc, yc, zc = surface.pixels[c, 0] - xa, surface.pixels[c, 1] - ya, surface.pixels[c, 2]
     area = xb * yc - xc * yb
-    share_b, share_c = ((x - xa) * yc - (y - ya) * xc) / area, ((y - ya) * xb - (x - xa) * yb) / area
-    share_a = 1.0 - share_b - share_c
-    depth = 1.0 / (share_a * za + share_b * zb + share_c * zc)
+    weight_b, weight_c = ((x - xa) * yc - (y - ya) * xc) / area, ((y - ya) * xb - (x - xa) * yb) / area
+    weight_a = 1.0 - weight_b - weight_c
+    depth = 1.0 / (weight_a * za + weight_b * zb + weight_c * zc)
     rx = rays[0, 0] * x + rays[1, 0] * y + rays[2, 0]
     ry = rays[0, 1] * x + rays[1, 1] * y + rays[2, 1]
     rz = rays[0, 2] * x + rays[1, 2] * y + rays[2, 2]
-    nx = share_a * surface.normals[a, 0] + share_b * surface.normals[b, 0] + share_c * surface.normals[c, 0]
-    ny = share_a * surface.normals[a, 1] + share_b * surface.normals[b, 1] + share_c * surface.normals[c, 1]
-    nz = share_a * surface.normals[a, 2] + share_b * surface.normals[b, 2] + share_c * surface.normals[c, 2]
+    nx = weight_a * surface.normals[a, 0] + weight_b * surface.normals[b, 0] + weight_c * surface.normals[c, 0]
+    ny = weight_a * surface.normals[a, 1] + weight_b * surface.normals[b, 1] + weight_c * surface.normals[c, 1]
+    nz = weight_a * surface.normals[a, 2] + weight_b * surface.normals[b, 2] + weight_c * surface.normals[c, 2]
     ray, length = np.sqrt(rx * rx + ry * ry + rz * rz), max(np.sqrt(nx * nx + ny * ny + nz * nz), 1e-9)
     facing = -(nx * rx + ny * ry + nz * rz) / (ray * length)
-    if facing < 0.0:  # a surface that is seen from behind is lit as one that faces the eye
+    if facing < 0.0:  # a surface seen from behind is lit like one that faces the eye
         facing, length = -facing, -length
     nx, ny, nz = nx / length, ny / length, nz / length
     lx, ly, lz = light.direction[0], light.direction[1], light.direction[2]
     lit, sun = nx * lx + ny * ly + nz * lz, 0.0
     if lit > 0.0:
-        # Off the surface by two texels, else it would shade itself where the light is slanted.
+        # Offset from the surface by two texels, or else it would shade itself in slanted light.
         off = 2.0 * light.texel
         z = eye[2] + depth * rz + off * nz
         slant = z / lz
-        sun = light_share(
+        sun = sunlit_fraction(
             light, eye[0] + depth * rx + off * nx - lx * slant, eye[1] + depth * ry + off * ny - ly * slant, z
         )
-    # Between the directions to sun and eye: a glossy surface with this normal shines.
+    # Specular reflection: largest if the normal bisects the directions to the sun and the eye.
     hx, hy, hz = lx - rx / ray, ly - ry / ray, lz - rz / ray
     shine = max(nx * hx + ny * hy + nz * hz, 0.0) / max(np.sqrt(hx * hx + hy * hy + hz * hz), 1e-9)
     for _ in range(5):
@@ -222,17 +224,17 @@ def _color(
 def paint_faces(
     picture: Any, corner: Any, face_at: Any, parts: int, surface: SurfaceArrays, eye: Any, rays: Any, light: Light
 ) -> None:
-    """Paint the faces in front over a region of a picture; at edges they are mixed with what is behind.
+    """Paint faces over a region of an image; pixels at edges are blended with the background.
 
     Args:
-        picture: (H, W, 3) uint8.
+        picture: (H, W, 3) image, uint8.
         corner: row and column of the region's first pixel.
-        face_at: (parts R, parts C) face in front at each part of a pixel; -1 for none.
-        parts: of a pixel along each side.
-        surface: the faces.
-        eye: (3,) m.
-        rays: (3, 3); column and row in parts, and 1, times this is the ray with a depth of 1.
-        light: the sun.
+        face_at: (parts R, parts C) face in front at each subpixel, or -1.
+        parts: subpixels per pixel along each side.
+        surface: faces to paint.
+        eye: (3,) position of the eye [m].
+        rays: (3, 3) matrix; (column, row, 1) in subpixels times this matrix is the ray with depth 1.
+        light: sunlight.
     """
     for i in range(face_at.shape[0] // parts):
         for j in range(face_at.shape[1] // parts):
@@ -242,14 +244,14 @@ def paint_faces(
                 for column in range(j * parts, (j + 1) * parts):
                     f = face_at[row, column]
                     if f >= 0:
-                        # Of neighbours in a pixel, every other one is lit by itself.
+                        # Within a pixel, the color is computed again only for another face, at every other subpixel.
                         if f != last and (count == 0 or (row + column) % 2 == 0):
                             color = _color(column + 0.5, row + 0.5, f, surface, eye, rays, light)
                             last = f
                         red, green, blue, count = red + color[0], green + color[1], blue + color[2], count + 1
             if count > 0:
-                share = count / (parts * parts)
+                coverage = count / (parts * parts)
                 for k, total in enumerate((red, green, blue)):
                     behind = picture[corner[0] + i, corner[1] + j, k]
                     own = 255.0 * np.sqrt(min(max(total / count, 0.0), 1.0))
-                    picture[corner[0] + i, corner[1] + j, k] = np.uint8(behind + share * (own - behind))
+                    picture[corner[0] + i, corner[1] + j, k] = np.uint8(behind + coverage * (own - behind))

@@ -1,7 +1,7 @@
-"""A robot drawn in software: no OpenGL and no window.
+"""Software renderer for robots, without OpenGL and without a window.
 
-Triangles go through a depth buffer; the sun casts shadows on ground and robot. World frame: x forward, y left, z up.
-Lengths in m.
+Triangles are rasterized with a depth buffer; the sun casts shadows on ground and robot. World frame: x forward, y left,
+z up. Lengths are in m.
 """
 
 from __future__ import annotations
@@ -18,42 +18,42 @@ from surefoot.arrays import Array
 from surefoot.report.drawing.ground_part import faces, ground_around, step_edges
 from surefoot.report.drawing.mesh import Mesh
 from surefoot.report.drawing.raster import Light, SurfaceArrays, paint_faces, paint_ground, rasterize
-from surefoot.report.drawing.uneven_ground import GroundLook, VisibleGround, clip, paint_uneven
+from surefoot.report.drawing.uneven_ground import GroundStyle, VisibleGround, clip, paint_uneven
 from surefoot.world.ground import FLAT, Ground
 
 TILE = 0.25
-"""Side of a square of the ground [m]."""
+"""Side of a square of the ground's checker pattern [m]."""
 _PARTS = 2
-"""Parts of a pixel along each side in which edges are drawn."""
+"""Subpixels per pixel along each side, for antialiasing."""
 _FAR, _HAZY = 11.0, 13.0
-"""Distances from the camera at which squares have faded out, and over which haze grows, over the camera's height."""
+"""Distances at which squares have faded out, and over which haze increases, relative to the camera's height."""
 _NEAR = 0.1
-"""What is nearer to the camera is not drawn [m]."""
+"""Minimum distance from the camera that is drawn [m]."""
 _TO_SUN = np.array([0.24, -0.44, 0.86]) / np.linalg.norm([0.24, -0.44, 0.86])
 _SKY, _HAZE, _GROUND = np.array([(150, 184, 216), (232, 238, 243), (208, 213, 216)]) / 255.0
 _DARK = 0.24
-"""How much darker a dark square is, as a share of its linear color."""
+"""Relative reduction of the linear color in a dark square."""
 _SHADOW = 0.62
-"""How much darker the ground is in full shadow, as a share."""
+"""Relative reduction of the ground's linear color in full shadow."""
 _TEXELS = 300
-"""Points of the shadow along its longer side."""
+"""Grid points of the shadow along its longer side."""
 _CLEARANCE = 0.4
-"""Least height of the eye over the course of the ground, as a share of that over level ground."""
+"""Minimum height of the eye above the ground's slope, relative to its height above level ground."""
 _SPREAD = 0.03
-"""Distance [m] over which heights of what casts a shadow are averaged."""
+"""Distance over which heights of shadow casters are averaged [m]."""
 _EXTENT = 0.8737
-"""Extent [m] of a robot that fills the picture of a camera as it stands."""
+"""Extent of a robot that fills the image of the default camera [m]."""
 
 
 @dataclass(frozen=True)
 class Camera:
-    """Where the picture is taken from; it follows a body's path over the ground, smoothed, and never turns.
+    """Camera that follows the smoothed path of a body over the ground, without rotating.
 
     Attributes:
-        offset: m in the world from the point looked at to the camera: from the right and a little ahead.
-        height: m above the ground of the point looked at.
-        field_of_view: degrees from the picture's top to its bottom.
-        smoothing: s, standard deviation of the Gaussian that smooths the path.
+        offset: vector in the world frame from the target point to the camera [m]; by default right and slightly ahead.
+        height: height of the target point above the ground [m].
+        field_of_view: vertical field of view [deg].
+        smoothing: standard deviation of the Gaussian that smooths the path [s].
     """
 
     offset: tuple[float, float, float] = (0.62, -1.20, 0.40)
@@ -63,25 +63,25 @@ class Camera:
 
     @classmethod
     def for_robot(cls, extent: float) -> Camera:
-        """Return a camera at the distance and height for a robot of this size [m], corner to corner at rest."""
+        """Return a camera whose distance and height fit a robot of a given extent [m], see `scene.extent`."""
         scale = round(extent / _EXTENT, 3)
         x, y, z = (scale * part for part in cls.offset)
         return cls(offset=(x, y, z), height=scale * cls.height)
 
 
 class View:
-    """A pinhole camera that looks at a place (2,) on a ground: x right, y down, depth along its axis, in pixels."""
+    """Pinhole camera that looks at a position (2,) [m] on a ground; image axes: x right, y down [px], depth [m]."""
 
     def __init__(self, camera: Camera, place: ArrayLike, size: tuple[int, int], ground: Ground = FLAT) -> None:
         offset = np.array(camera.offset, dtype=np.float64)
         at = np.asarray(place, dtype=np.float64)
         self.place, self.above = at, camera.height + offset[2]
-        """Where it looks; and the height of the eye over level ground [m]."""
+        """Position it looks at, and height of the eye above level ground [m]."""
         self.ground = ground
-        level = float(ground.level(at))
+        level = float(ground.smooth_height(at))
         if not ground.is_flat:
-            # Not into a slope that rises towards the camera.
-            rise = float(ground.level(at + offset[:2])) - level
+            # Raise the camera above a slope that rises towards it.
+            rise = float(ground.smooth_height(at + offset[:2])) - level
             offset[2] += max(rise - (1.0 - _CLEARANCE) * self.above, 0.0)
         self.eye = np.array([*at, level + camera.height]) + offset
         axis = -offset / np.linalg.norm(offset)
@@ -92,16 +92,16 @@ class View:
         self.focal = 0.5 * self.height / np.tan(np.radians(camera.field_of_view) / 2)
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Return pixels (..., 2) and depth (...) in m of points (..., 3) in the world."""
+        """Project points (..., 3) in the world frame to pixels (..., 2) and depth (...) [m]."""
         local = (points - self.eye) @ self.axes.T
         depth = local[..., 2]
         pixel = self.focal * local[..., :2] / np.maximum(depth, _NEAR)[..., None]
         return pixel + np.array([self.width / 2, self.height / 2]), depth
 
     def rays(self, corner: Array, parts: int) -> Array:
-        """Return the matrix (3, 3) by which (column, row, 1) is a ray of depth 1.
+        """Return the matrix (3, 3) that maps (column, row, 1) to a ray with depth 1.
 
-        Column and row count `parts` of a pixel from the pixel `corner`, which is a column and a row.
+        Column and row are in subpixels (`parts` per pixel), relative to the pixel `corner` (column, row).
         """
         to_camera = np.zeros((3, 3))
         to_camera[0, 0] = to_camera[1, 1] = 1.0 / (parts * self.focal)
@@ -111,10 +111,10 @@ class View:
 
 
 def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
-    """Draw sky, ground, shadows and the mesh, whose links have these poses (L, 4, 4)."""
+    """Draw sky, ground, shadows and a mesh with link poses (L, 4, 4)."""
     points, normals = mesh.place(poses)
     pixels, depth = view.project(points)
-    # The light counts heights from the lowest point, so that none is below 0.
+    # Heights are relative to the lowest point, because the shadow requires non-negative heights.
     base = 0.0 if view.ground.is_flat else float(points[:, 2].min())
     points[:, 2] -= base
     light = _light(mesh, points)
@@ -146,13 +146,13 @@ def draw(mesh: Mesh, poses: Array, view: View) -> Image.Image:
 
 
 def _paint_ground(picture: NDArray[np.uint8], view: View, light: Light, base: float) -> NDArray[np.float32]:
-    """Paint a ground that is not flat; return how near it is, in parts of pixels, as `rasterize` writes it.
+    """Paint uneven ground; return its depth buffer in subpixels, see `rasterize`.
 
     Args:
-        picture: (H, W, 3), the sky.
-        view: the camera, and the ground.
-        light: the sun, with heights over `base` [m].
-        base: see above.
+        picture: (H, W, 3) image of the sky.
+        view: camera and ground.
+        light: sunlight, with heights relative to `base` [m].
+        base: reference height of `light` [m].
     """
     part = ground_around(view.ground, view.place)
     triangles, normals = faces(part)
@@ -168,26 +168,28 @@ def _paint_ground(picture: NDArray[np.uint8], view: View, light: Light, base: fl
     normals = normals[owner[seen]]
     away = ((triangles[owner[seen], 0] - view.eye) * normals).sum(axis=1)
     highest, radius = max(float(light.occluder.max()), 1e-6), _SPREAD / light.texel
-    cover = np.maximum(_blurred(light.occluder > 0.0, radius, 1.0), 0.02)
-    top = highest * _blurred(light.occluder, radius, highest) / cover
-    ground = VisibleGround(np.column_stack([normals, away]), step_edges(part), part.course, part.grid, top, base)
+    cover = np.maximum(_blur(light.occluder > 0.0, radius, 1.0), 0.02)
+    top = highest * _blur(light.occluder, radius, highest) / cover
+    ground = VisibleGround(
+        np.column_stack([normals, away]), step_edges(part), part.smooth_heights, part.grid, top, base
+    )
     color, haze = 255.0 * _GROUND, 255.0 * _HAZE
-    look = GroundLook(color, haze, TILE, _DARK, _SHADOW, float(_FAR * view.above), float(_HAZY * view.above))
+    style = GroundStyle(color, haze, TILE, _DARK, _SHADOW, float(_FAR * view.above), float(_HAZY * view.above))
     rays = view.rays(np.zeros(2), _PARTS)
-    paint_uneven(picture, face_at, _PARTS, ground, view.eye, rays, light, look)
+    paint_uneven(picture, face_at, _PARTS, ground, view.eye, rays, light, style)
     return nearest
 
 
 def _light(mesh: Mesh, points: Array) -> Light:
-    """Return the sun with the shadow of a mesh with points (P, 3), whose heights are not below 0."""
+    """Return the sunlight and the shadow of a mesh with points (P, 3) and non-negative heights."""
     height = points[:, 2]
     slant = height / _TO_SUN[2]
-    # Columns by themselves: numpy finds the least and greatest of each far faster.
+    # Separate columns: numpy computes their minimum and maximum much faster.
     x, y = points[:, 0] - _TO_SUN[0] * slant, points[:, 1] - _TO_SUN[1] * slant
     low, high = np.array([x.min(), y.min()]), np.array([x.max(), y.max()])
     span = float((high - low).max())
     texel = max(span, 0.01) / _TEXELS
-    # Soft edges reach beyond the shadow.
+    # Soft edges extend beyond the shadow.
     margin = 0.08 * span
     low = low - margin
     columns, rows = np.ceil((high + margin - low) / texel).astype(int) + 2
@@ -199,18 +201,18 @@ def _light(mesh: Mesh, points: Array) -> Light:
 
 
 def _soften(occluder: NDArray[np.float32], texel: float) -> NDArray[np.float32]:
-    """Return the shadow (H, W), 0 to 1, of what stands at these heights: the higher, the softer."""
+    """Return the darkness (H, W), 0 to 1, of the shadow of objects with given heights; high ones have soft shadows."""
     top = max(float(occluder.max()), 1e-6)
     cover, radius = occluder > 0.0, 0.05 * top / texel
-    sharp, soft = _blurred(cover, 1.0, 1.0), _blurred(cover, radius, 1.0)
-    # Mean height of what is around a place, as a share of the greatest.
-    share = np.clip(1.6 * _blurred(occluder, radius, top) / np.maximum(soft, 0.02), 0.0, 1.0)
-    shadow: NDArray[np.float32] = (sharp + share * (soft - sharp)).astype(np.float32)
+    sharp, soft = _blur(cover, 1.0, 1.0), _blur(cover, radius, 1.0)
+    # Mean height of the surrounding objects, relative to the maximum.
+    softness = np.clip(1.6 * _blur(occluder, radius, top) / np.maximum(soft, 0.02), 0.0, 1.0)
+    shadow: NDArray[np.float32] = (sharp + softness * (soft - sharp)).astype(np.float32)
     return shadow
 
 
-def _blurred(values: NDArray[Any], radius: float, top: float) -> NDArray[np.float32]:
-    """Return values (H, W) from 0 to `top` as blurred shares of it; `radius` in places."""
+def _blur(values: NDArray[Any], radius: float, top: float) -> NDArray[np.float32]:
+    """Blur values (H, W) from 0 to `top` with a radius in grid points; return them relative to `top`."""
     image = Image.fromarray((255.0 / top * values).astype(np.uint8)).filter(ImageFilter.GaussianBlur(radius))
     return np.asarray(image, np.float32) / np.float32(255.0)
 
@@ -219,9 +221,9 @@ def _blurred(values: NDArray[Any], radius: float, top: float) -> NDArray[np.floa
 def _backdrop(
     width: int, height: int, focal: float, above: float, axes: tuple[float, ...]
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """Return a picture (H, W, 3) of the sky alone, and the ground in its last rows, as `paint_ground` takes it.
+    """Return an image (H, W, 3) of the sky, and the ground in its last rows, see `paint_ground`.
 
-    All depend only on the camera's height [m], direction and focal length [px], which are the same in every frame.
+    They depend only on the camera's height [m], direction and focal length [px], which are the same for all frames.
     """
     matrix = np.array(axes).reshape(3, 3)
     column, row = np.meshgrid(np.arange(width) + 0.5 - width / 2, np.arange(height) + 0.5 - height / 2)
@@ -233,7 +235,7 @@ def _backdrop(
     rays, length, up = rays[first:], length[first:], up[first:]
     distance = above / -up
     place = (distance / length)[..., None] * rays[..., :2]
-    # How far a pixel reaches: along its row and its column, as the ground's places differ there.
+    # Extent of a pixel on the ground, from the differences between neighbouring positions along rows and columns.
     reach = np.maximum(*(np.abs(np.gradient(place, axis=k)) for k in (0, 1))) if len(rays) > 1 else place * 0 + 1.0
     haze = 1.0 - np.exp(-((distance / (_HAZY * above)) ** 1.5))
     color = 255.0 * (_GROUND + haze[..., None] * (_HAZE - _GROUND))

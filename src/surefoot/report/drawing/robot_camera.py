@@ -1,4 +1,4 @@
-"""Pictures of simulated robots as arrays, each by a camera that follows it."""
+"""Camera for images of simulated robots as arrays."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from surefoot.world.ground import Ground
 
 
 class RobotCamera:
-    """Takes pictures of robots of one kind.
+    """Camera that renders robots of one kind.
 
     Args:
-        robot: their description.
-        size: width and height in pixels.
+        robot: description of the robots.
+        size: width and height of images [px].
     """
 
     def __init__(self, robot: RobotDescription, size: tuple[int, int] = (640, 480)) -> None:
@@ -27,11 +27,11 @@ class RobotCamera:
         self._mesh = Mesh(robot.appearance(), self._links)
 
     def __call__(self, position: Array, quat: Array, angles: Array, ground: Ground) -> NDArray[np.uint8]:
-        """Return pictures (N, height, width, 3) of robots, as `poses` takes them, on a ground."""
+        """Render robots on a ground; return images (N, height, width, 3). For the states of robots see `poses`."""
         placed = poses(self._robot, position, quat, angles)
         stack = np.stack([placed[link] for link in self._links], axis=1)
-        pictures = []
+        images = []
         for point, frames in zip(position, stack, strict=True):
             view = View(self._camera, point[:2], self._size, ground)
-            pictures.append(np.asarray(draw(self._mesh, frames, view)))
-        return np.array(pictures, np.uint8)
+            images.append(np.asarray(draw(self._mesh, frames, view)))
+        return np.array(images, np.uint8)

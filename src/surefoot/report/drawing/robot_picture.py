@@ -1,4 +1,4 @@
-"""A picture of a robot in its resting pose: axes of the base, and the names of the legs."""
+"""Image of a robot in its resting pose, with the axes of the base and the names of the legs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from surefoot.report.drawing.video import INK, label_font
 from surefoot.robot import RobotDescription
 
 SIZE = (960, 720)
-"""Width and height of the picture [px]."""
+"""Width and height of the image [px]."""
 _AXES = {
     "x forward": ((0.6, 0.0, 0.0), (200, 40, 40)),
     "y left": ((0.0, 0.6, 0.0), (30, 140, 50)),
@@ -24,7 +24,7 @@ _AXES = {
 
 
 def save_robot_picture(robot: RobotDescription, path: Path) -> None:
-    """Write the picture as PNG."""
+    """Write the image as a PNG file."""
     length = robot.leg_geometry.length
     level = poses(robot, np.zeros(3), [1.0, 0.0, 0.0, 0.0], robot.resting_angles)
     height = -min(float(level[leg.foot][0, 2, 3]) for leg in robot.legs)

@@ -1,4 +1,4 @@
-"""Where the parts of a robot are: placed by base pose and motor angles, no engine needed."""
+"""Poses of a robot's links from base pose and motor angles, computed without a physics engine."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from surefoot.task.trace import EpisodeTrace
 
 
 def extent(robot: RobotDescription) -> float:
-    """Return how large a robot is [m]: the diagonal of the box around its parts in the resting pose."""
+    """Return the extent of a robot [m]: the diagonal of the bounding box of its visual parts in the resting pose."""
     frames = robot.link_frames(robot.resting_angles)
     parts = robot.appearance().parts
     points = [part.vertices @ frames[part.link][:3, :3].T + frames[part.link][:3, 3] for part in parts]
@@ -23,21 +23,21 @@ def extent(robot: RobotDescription) -> float:
 def poses(
     robot: RobotDescription, base_position: ArrayLike, base_quat: ArrayLike, motor_angles: ArrayLike
 ) -> dict[str, Array]:
-    """Return by link the frames (T, 4, 4) in the world, with every leg's loop closed.
+    """Return the poses (T, 4, 4) of all links in the world frame, by link, with closed leg loops.
 
     Args:
-        robot: whose links.
-        base_position: (T, 3) m, origin of the base link in the world.
-        base_quat: (T, 4) w x y z, from the base to the world.
-        motor_angles: (T, M) rad, in the robot's motor order.
+        robot: description of the robot.
+        base_position: (T, 3) position of the base link in the world frame [m].
+        base_quat: (T, 4) orientation w x y z, from the base to the world frame.
+        motor_angles: (T, M) motor angles in the robot's motor order [rad].
 
     Raises:
-        SurefootError: numbers that are not finite, or angles at which a leg's loop can't close.
+        SurefootError: values are not finite, or a leg can't close its loop at the given angles.
     """
     position, quat, theta = (np.atleast_2d(np.asarray(x, float)) for x in (base_position, base_quat, motor_angles))
     for name, array in (("base position", position), ("base orientation", quat), ("motor angles", theta)):
         if not np.isfinite(array).all():
-            raise SurefootError(f"the {name} is not known throughout; the robot can't be drawn")
+            raise SurefootError(f"the {name} is not known in all rows; the robot can't be drawn")
     base = np.tile(np.eye(4), (len(theta), 1, 1))
     base[:, :3, :3], base[:, :3, 3] = quat_matrix(quat / np.linalg.norm(quat, axis=-1, keepdims=True)), position
     frames = {link: base @ frame for link, frame in robot.link_frames(theta).items()}
@@ -50,9 +50,9 @@ def poses(
 
 
 def trace_poses(robot: RobotDescription, trace: EpisodeTrace) -> dict[str, Array]:
-    """Return by link the frames (T, 4, 4) in the world at the end of each control step of a trace.
+    """Return the poses (T, 4, 4) of all links in the world frame at the end of each control step of a trace, by link.
 
-    Where the true motor angles are missing, the readings are used, which are a little old.
+    If the true motor angles are missing, the slightly delayed readings are used.
     """
     complete = np.isfinite(trace.true_motor_angle).all()
     angles = trace.true_motor_angle if complete else trace.motor_angle

@@ -1,4 +1,4 @@
-"""A robot's run as an MP4: drawn in software, encoded as H.264 by the ffmpeg that comes with imageio-ffmpeg."""
+"""Videos (MP4) of a robot's run, rendered in software and encoded as H.264 by imageio-ffmpeg's ffmpeg."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from surefoot.robot.appearance import Appearance
 from surefoot.world.ground import FLAT, Ground
 
 _THREADS, _BATCH = 2, 16
-"""Threads that draw, and how many pictures they draw before these are encoded."""
+"""Number of rendering threads, and number of frames rendered before they are encoded."""
 INK, PANEL = (34, 39, 46), (255, 255, 255, 190)
 
 
@@ -38,19 +38,19 @@ def render_video(
     fps: int = 50,
     size: tuple[int, int] = (960, 540),
 ) -> Path:
-    """Write an MP4 (H.264, yuv420p) of links' motion in real time.
+    """Write a real-time video (MP4, H.264, yuv420p) of moving links.
 
     Args:
-        appearance: what to draw.
-        poses: by link, frames (T, 4, 4) in the world at `times`.
-        times: (T,) s, strictly increasing.
-        path: .mp4 to write; it appears whole or not at all.
+        appearance: visual parts of the links.
+        poses: poses (T, 4, 4) in the world frame at `times`, by link.
+        times: times (T,) [s], strictly increasing.
+        path: file to write (.mp4), atomically.
         follow: link that the camera follows.
-        overlay: text at the top left for each of `times`; may have several lines.
-        camera: where pictures are taken from.
-        ground: what links move over.
-        fps: frames a second; poses between two times are interpolated.
-        size: width and height in pixels, even.
+        overlay: text at the top left for each of `times`, with one or more lines.
+        camera: camera.
+        ground: ground under the links.
+        fps: frames per second; poses are interpolated.
+        size: width and height [px], even numbers.
     """
     import imageio_ffmpeg
 
@@ -71,7 +71,7 @@ def render_video(
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.mp4")
     writer = imageio_ffmpeg.write_frames(
-        f"file:{temporary}",  # without it ffmpeg takes what comes before a colon for a protocol
+        f"file:{temporary}",  # without the prefix, ffmpeg interprets a colon in the path as a protocol
         size,
         fps=fps,
         codec="libx264",
@@ -82,10 +82,10 @@ def render_video(
         output_params=["-crf", "23", "-preset", "veryfast", "-movflags", "+faststart"],
     )
     try:
-        # Where no file can be made, ffmpeg would report its whole command.
+        # Create the file first: if that fails, ffmpeg's error would contain its whole command.
         temporary.touch()
         writer.send(None)
-        # Pictures are drawn without Python's lock: two threads, as ffmpeg has a third.
+        # Rendering releases Python's lock: two threads, since ffmpeg uses a third.
         with ThreadPoolExecutor(_THREADS) as pool:
             for start in range(0, len(clock), _BATCH):
                 for picture in pool.map(frame, clock[start : start + _BATCH]):
@@ -101,12 +101,12 @@ def render_video(
 
 
 def interpolate_poses(times: Array, poses: Array, now: float) -> Array:
-    """Return frames (B, 4, 4) at a time out of those (T, B, 4, 4) at `times`: linear, the axes made orthonormal."""
+    """Interpolate poses (T, B, 4, 4) at `times` linearly, with orthonormal axes; return poses (B, 4, 4) at `now`."""
     after = min(max(int(np.searchsorted(times, now)), 1), len(times) - 1)
     before = max(after - 1, 0)
     span = times[after] - times[before]
-    share = float(np.clip((now - times[before]) / span, 0.0, 1.0)) if span > 0 else 0.0
-    pose: Array = (1.0 - share) * poses[before] + share * poses[after]
+    fraction = float(np.clip((now - times[before]) / span, 0.0, 1.0)) if span > 0 else 0.0
+    pose: Array = (1.0 - fraction) * poses[before] + fraction * poses[after]
     x = pose[:, :3, 0] / np.linalg.norm(pose[:, :3, 0], axis=1, keepdims=True)
     z = np.cross(x, pose[:, :3, 1])
     z /= np.linalg.norm(z, axis=1, keepdims=True)
@@ -115,7 +115,7 @@ def interpolate_poses(times: Array, poses: Array, now: float) -> Array:
 
 
 def write_label(picture: Image.Image, text: str) -> None:
-    """Write lines of text on a light panel at the top left."""
+    """Write text (one or more lines) on a light panel at the top left of an image."""
     if not text:
         return
     unit = picture.height / 540
@@ -131,14 +131,14 @@ def write_label(picture: Image.Image, text: str) -> None:
 
 @functools.lru_cache(maxsize=8)
 def label_font(size: int) -> Any:
-    """Return Pillow's own font, which is there on every machine."""
+    """Return Pillow's built-in font, which is available on every machine."""
     return ImageFont.load_default(size)
 
 
 def _smooth_track(times: Array, track: Array, smoothing: float) -> tuple[Array, Array]:
-    """Return times and positions (K, 2) of a camera that follows a track (T, 2) smoothly.
+    """Return times and positions (K, 2) of a camera that follows a smoothed track (T, 2).
 
-    Local linear regression with Gaussian weights: unlike a mean, it does not lag at the ends.
+    The track is smoothed by local linear regression with Gaussian weights; unlike a mean, it does not lag at the ends.
     """
     if smoothing <= 0 or len(times) < 3:
         return times, track

@@ -1,6 +1,6 @@
-"""The picture of an identification: intervals beside prior values, correlations, measured and simulated.
+"""Figure of an identification: intervals relative to prior values, correlations, measured and simulated series.
 
-The report's page has the same names and numbers.
+The report's page uses the same names and number formats.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from surefoot.identify.result import Identification, ParameterEstimate, Series
-from surefoot.report.figures.style import BLUE, INK, LEG_COLORS, ORANGE, QUIET, new_figure, spoken
+from surefoot.report.figures.style import BLUE, INK, LEG_COLORS, ORANGE, QUIET, humanize, new_figure
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 
@@ -27,9 +27,9 @@ _BAR: dict[str, Any] = {"fmt": "o", "markersize": 4.5, "capsize": 3.0, "linewidt
 _SMALL: dict[str, Any] = {"va": "center", "ha": "center", "fontsize": 7.5, "bbox": _PAPER}
 _COLUMNS = 3
 _MAX_POINTS = 2000
-"""Points of a series that are drawn: more can't be seen."""
+"""Maximum number of points drawn per series; more would not be visible."""
 _MAX_DIGITS = 6
-"""Most digits behind the point; numbers that need more are written with powers of ten."""
+"""Maximum number of decimals; numbers that need more are written in scientific notation."""
 
 
 def identification_figure(
@@ -37,8 +37,8 @@ def identification_figure(
 ) -> Path:
     """Draw an identification.
 
-    Single numbers have their intervals in percent of the `prior` values (one row); numbers of motors have a panel each,
-    in their own unit. Below stand measured and simulated series, before and after.
+    Intervals of scalar parameters are drawn in percent of the `prior` values (one row); parameters with one value per
+    motor have one panel each, in their unit. Panels below show measured series, and simulated ones before and after.
     """
     single, several = _group(result.estimates)
     rows: list[tuple[float, list[float], list[Callable[[Axes], None]]]] = []
@@ -60,7 +60,7 @@ def identification_figure(
         unused.remove()
         figure.suptitle(f"{result.experiment}: {result.robot}", x=0.01, ha="left", fontweight="bold")
         if rows:
-            # A subfigure for each row: labels at the side of one take no room from another.
+            # One subfigure per row, so that the labels of one row do not affect the layout of another.
             parts = figure.subfigures(len(rows), 1, squeeze=False, height_ratios=[height for height, _, _ in rows])
             for part, (_, widths, panels) in zip(parts[:, 0], rows, strict=True):
                 axes = part.subplots(1, len(panels), squeeze=False, width_ratios=widths)
@@ -70,7 +70,7 @@ def identification_figure(
 
 
 def _group(estimates: Sequence[ParameterEstimate]) -> tuple[list[ParameterEstimate], list[list[ParameterEstimate]]]:
-    """Return estimates that are drawn one by one (scalars, axes), and groups with an estimate for each motor."""
+    """Split estimates into single ones (scalars, vector components) and groups with one estimate per motor."""
     groups: dict[str, list[ParameterEstimate]] = {}
     for item in estimates:
         groups.setdefault(item.name, []).append(item)
@@ -80,7 +80,7 @@ def _group(estimates: Sequence[ParameterEstimate]) -> tuple[list[ParameterEstima
 
 
 def _intervals(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescription, prior: PhysicalParams) -> None:
-    """Draw intervals in percent of the prior values; numbers whose prior is 0 or missing are not drawn."""
+    """Draw intervals in percent of the prior values, except if the prior is 0 or missing."""
     reach = 1.0
     for place, item in enumerate(items):
         before, (low, high) = prior_value(item, prior), item.interval
@@ -92,8 +92,8 @@ def _intervals(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescrip
         else:
             text = f"{number(item.value, width)}  ({number(low, width)} to {number(high, width)}){unit}"
             if before is None or before == 0:
-                was = "no parameter" if before is None else "prior is 0"
-                ax.text(0.5, place, was, transform=ax.get_yaxis_transform(), **_SMALL, color=QUIET)
+                remark = "no prior" if before is None else "prior is 0"
+                ax.text(0.5, place, remark, transform=ax.get_yaxis_transform(), **_SMALL, color=QUIET)
             else:
                 low, value, high = (100 * (x / before - 1) for x in (low, item.value, high))
                 low, high = min(low, high), max(low, high)
@@ -103,19 +103,19 @@ def _intervals(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescrip
     ax.axvline(0.0, color=QUIET, linewidth=0.9, linestyle=(0, (4, 3)), zorder=0.5)
     ax.set_xlim(-1.12 * reach, 1.12 * reach)
     ax.set_ylim(len(items) - 0.4, -0.6)
-    ax.set_yticks(range(len(items)), [spoken(full_name(item.label, robot)) for item in items])
+    ax.set_yticks(range(len(items)), [humanize(full_name(item.label, robot)) for item in items])
     ax.tick_params(axis="y", length=0)
     ax.grid(visible=False, axis="y")
     ax.set_xlabel("difference from the prior value (%), 95 % interval")
-    ax.set_title("Single numbers", fontweight="bold")
+    ax.set_title("Scalar parameters", fontweight="bold")
 
 
 def _correlations(ax: Axes, result: Identification, robot: RobotDescription) -> None:
-    """Draw the correlations of pairs of numbers: at +1 or -1 they are indistinguishable."""
+    """Draw the correlations of pairs of parameters; pairs near +1 or -1 are indistinguishable."""
     pairs = result.correlations
     for place, (one, other, value) in enumerate(pairs):
         ax.barh(place, value, 0.3, color=ORANGE if value < 0 else BLUE, alpha=0.45, linewidth=0)
-        text = "\nand ".join(spoken(full_name(label, robot)) for label in (one, other))
+        text = "\nand ".join(humanize(full_name(label, robot)) for label in (one, other))
         ax.text(0.0, place - 0.42, text, **_SMALL, linespacing=1.0)
         ax.text(value / 2, place, f"{value:+.2f}", ha="center", va="center", fontsize=7.5, color=INK)
     ax.axvline(0.0, color=QUIET, linewidth=0.9, zorder=0.5)
@@ -128,7 +128,7 @@ def _correlations(ax: Axes, result: Identification, robot: RobotDescription) -> 
 
 
 def _motors(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescription, prior: PhysicalParams) -> None:
-    """Draw one number of each motor with its interval, over the prior value."""
+    """Draw a parameter of each motor with its interval, and the prior value."""
     count = max(item.index or 0 for item in items) + 1
     names = index_names(items[0].name, robot)
     if len(names) < count:
@@ -146,33 +146,33 @@ def _motors(ax: Axes, items: Sequence[ParameterEstimate], robot: RobotDescriptio
         ax.errorbar(place, item.value, yerr=[[max(item.value - low, 0.0)], [max(high - item.value, 0.0)]], **_BAR,
                     color=LEG_COLORS.get(leg, BLUE))  # fmt: skip
     ax.set_xlim(-0.7, len(names) - 0.3)
-    labels = [spoken(name) for name in names]
+    labels = [humanize(name) for name in names]
     ax.set_xticks(range(len(names)), labels, rotation=40, ha="right", rotation_mode="anchor", fontsize=7.5)
     ax.tick_params(axis="x", length=0)
     ax.grid(visible=False, axis="x")
     unit = "" if items[0].unit == "1" else f" ({items[0].unit})"
-    ax.set_title(f"{spoken(items[0].name).capitalize()}{unit}", fontweight="bold", pad=18.0)
+    ax.set_title(f"{humanize(items[0].name).capitalize()}{unit}", fontweight="bold", pad=18.0)
     ax.text(0.0, 1.03, "dashed: prior", transform=ax.transAxes, fontsize=7.5, color=QUIET)
     ax.margins(y=0.15)
 
 
 def _series(ax: Axes, series: Series) -> None:
-    """Draw a measured series, and those simulated with the prior parameters and with the estimates."""
-    every = max(math.ceil(len(series.x) / _MAX_POINTS), 1)
-    x = np.asarray(series.x, float)[::every]
-    drawn: tuple[tuple[str, Any, dict[str, Any]], ...] = (
+    """Draw a measured series, and the series simulated with the prior parameters and with the estimates."""
+    stride = max(math.ceil(len(series.x) / _MAX_POINTS), 1)
+    x = np.asarray(series.x, float)[::stride]
+    curves: tuple[tuple[str, Any, dict[str, Any]], ...] = (
         ("before", series.before, {"color": ORANGE, "linewidth": 1.1, "linestyle": (0, (4, 2))}),
         ("after", series.after, {"color": BLUE, "linewidth": 1.3}),
     )
-    measured = np.asarray(series.measured, float)[::every]
+    measured = np.asarray(series.measured, float)[::stride]
     if series.points:
         ax.plot(x, measured, "o", color=INK, markersize=3.5, label="measured", zorder=1)
     else:
         ax.plot(x, measured, color="#a9b1ba", linewidth=3.0, label="measured", zorder=1)
-    for name, values, look in drawn:
-        values = np.asarray(values, float)[::every]
+    for name, values, style in curves:
+        values = np.asarray(values, float)[::stride]
         if np.isfinite(values).any():
-            ax.plot(x, values, label=name, **look)
+            ax.plot(x, values, label=name, **style)
     ax.set_xlabel(_brackets(series.x_label))
     ax.set_ylabel(_brackets(series.y_label))
     title = series.title
@@ -184,20 +184,20 @@ def _series(ax: Axes, series: Series) -> None:
 
 
 def _brackets(label: str) -> str:
-    """Return a label with units in round brackets, as in other figures."""
+    """Replace square brackets around units by round ones, as in other figures."""
     return label.replace("[", "(").replace("]", ")")
 
 
 def index_names(name: str, robot: RobotDescription) -> tuple[str, ...]:
-    """Return the names of a number's indices: motors, or axes; empty if there are none."""
+    """Return the names of a parameter's components (motors or axes); empty for a scalar."""
     motors = tuple(motor.removesuffix("_motor") for motor in robot.motor_names)
     if name not in PARAMETERS:
         return motors if name.startswith(("motor", "torque")) else ("x", "y", "z")
-    return PARAMETERS[name].parts(motors)
+    return PARAMETERS[name].element_names(motors)
 
 
 def full_name(label: str, robot: RobotDescription) -> str:
-    """Return a number's label with the motor's or axis' name in place of its index."""
+    """Return an estimate's label with the name of the motor or axis instead of its index."""
     name, _, rest = label.partition("[")
     names = index_names(name, robot)
     index = int(rest.rstrip("]")) if rest.rstrip("]").isdigit() else -1
@@ -205,7 +205,7 @@ def full_name(label: str, robot: RobotDescription) -> str:
 
 
 def prior_value(item: ParameterEstimate, prior: PhysicalParams) -> float | None:
-    """Return the prior value of a physical parameter; None for other numbers."""
+    """Return the prior value of a physical parameter; None for other estimates."""
     if item.name not in PhysicalParams.names():
         return None
     values = getattr(prior, item.name)[0]
@@ -213,17 +213,17 @@ def prior_value(item: ParameterEstimate, prior: PhysicalParams) -> float | None:
 
 
 def cells(item: ParameterEstimate, prior: PhysicalParams) -> tuple[str, str, str]:
-    """Return the prior value of a number, the estimate and its interval, as texts; empty where there is none."""
+    """Return the prior value, the estimate and its interval as texts, which are empty if there is no value."""
     before, (low, high) = prior_value(item, prior), item.interval
     width = high - low if item.identifiable else math.nan
-    was = "" if before is None else number(before, width)
+    prior_text = "" if before is None else number(before, width)
     if not item.identifiable:
-        return was, "not identifiable", ""
-    return was, number(item.value, width), f"{number(low, width)} to {number(high, width)}"
+        return prior_text, "not identifiable", ""
+    return prior_text, number(item.value, width), f"{number(low, width)} to {number(high, width)}"
 
 
 def number(value: float, width: float) -> str:
-    """Return a number with two digits of half its interval's width, which is NaN if there is none."""
+    """Format a number, rounded to two significant digits of half the width of its interval (NaN without interval)."""
     if not (math.isfinite(width) and width > 0 and math.isfinite(value)):
         return f"{value:.4g}"
     digits = 1 - math.floor(math.log10(width / 2))

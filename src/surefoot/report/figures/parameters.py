@@ -1,4 +1,4 @@
-"""Figures of a sensitivity: return and falls against one physical parameter, and the return over all test worlds."""
+"""Figures of a sensitivity analysis: return and falls against a physical parameter, and returns of all test worlds."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from surefoot.report.figures.style import (
     INK,
     MARKERS,
     QUIET,
-    capital,
+    capitalize_first,
     heading,
+    humanize,
     new_figure,
     place_labels,
-    scattered,
-    spoken,
+    spread_dots,
 )
 from surefoot.tables import with_unit
 
@@ -28,28 +28,28 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 Groups = Mapping[str, Sequence[Sensitivity]]
-"""Sensitivities of one policy, or of several of a group, by the name that the figure shows."""
+"""Sensitivities of the policies of each group (one or more), by the group's name in the figure."""
 Ranges = Mapping[str, tuple[float, float]]
-_BAND = "band: least to greatest seed, of a single policy one standard error"
+_BAND = "band: minimum to maximum over seeds, or one standard error of a single policy"
 
 
 def parameter_figure(
     row: str, groups: Groups, path: str | Path, trained_ranges: Mapping[str, Ranges] | None = None, unit: str = "m"
 ) -> Path:
-    """Draw returns and falls against a row's value, with a band for each group.
+    """Draw returns and falls against a parameter, with a band for each group.
 
-    The band goes from the least to the greatest policy of a group; of a single policy it is one standard error. The
-    range that a policy was trained in is shaded in its colour; one value that it was trained at alone is a line.
+    The band extends from the minimum to the maximum over the policies of a group, or one standard error for a single
+    policy. The parameter's range in training is shaded in the policy's colour; a fixed value in training is a line.
 
     Args:
-        row: row of the table of ranges, which one group has or more.
-        groups: those whose sensitivities lack the row are left out.
-        path: PNG to write.
-        trained_ranges: by name, the ranges trained with, by row. Without this nothing is drawn of training.
-        unit: of returns.
+        row: parameter (row of the table of ranges), which at least one group must have.
+        groups: groups of sensitivities; groups without the parameter are skipped.
+        path: file to write (.png).
+        trained_ranges: training ranges by group and parameter; by default training ranges are not drawn.
+        unit: unit of returns.
     """
     if not any(row in one.rows for results in groups.values() for one in results):
-        raise SurefootError(f"parameter figure: row '{row}' is in no test world of {', '.join(groups) or 'nothing'}")
+        raise SurefootError(f"parameter figure: no test world of {', '.join(groups) or 'nothing'} varies '{row}'")
     with new_figure(path, (8.6, 3.7), columns=2) as (figure, (left, right)):
         _returns(left, groups, row)
         for number, (label, results) in enumerate(groups.items()):
@@ -72,7 +72,7 @@ def parameter_figure(
 
 
 def parameters_figure(groups: Groups, path: str | Path) -> Path:
-    """Draw the return against every parameter, a panel each, on one scale."""
+    """Draw the return against every parameter, one panel each, on a common scale."""
     rows = tuple(dict.fromkeys(row for results in groups.values() for one in results for row in one.rows))
     columns = min(len(rows), 5)
     lines = -(-len(rows) // columns)
@@ -93,15 +93,15 @@ def parameters_figure(groups: Groups, path: str | Path) -> Path:
 
 
 def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path, unit: str = "m") -> Path:
-    """Draw a bar for each policy: the mean over all its test worlds, with the standard deviation.
+    """Draw one bar per policy: mean and standard deviation of the return over all its test worlds.
 
-    Dots are the mean returns of single test worlds, a diamond is that of the nominal world. `unit` is that of returns.
+    Dots are the mean returns of single test worlds, the diamond of the nominal world. `unit` is the unit of returns.
     """
     with new_figure(path, (7.6, 1.2 + 0.62 * len(sensitivities))) as (_, (ax,)):
         for place, result in enumerate(sensitivities):
             color, means = f"C{place}", result.worlds.return_mean
             ax.barh(place, result.mean, 0.62, color=color, alpha=0.35, linewidth=0)
-            across = place + scattered(len(means), 0.5)
+            across = place + spread_dots(len(means), 0.5)
             ax.plot(means, across, "o", color=color, alpha=0.55, markersize=2.8, markeredgewidth=0)
             ax.errorbar(result.mean, place, xerr=result.std, color=INK, linewidth=1.3, capsize=4.0)
             ax.plot(result.nominal["return"].mean(), place, "D", color="white", markeredgecolor=INK, markersize=5.5)
@@ -117,7 +117,7 @@ def aggregate_figure(sensitivities: Sequence[Sensitivity], path: str | Path, uni
 
 
 def _returns(ax: Axes, groups: Groups, row: str) -> None:
-    """Draw the return of every group against a parameter, and mark the nominal value."""
+    """Draw the return of each group against a parameter, and mark the nominal value."""
     for number, (label, results) in enumerate(groups.items()):
         if row in results[0].rows:
             worlds = [one.of_row(row) for one in results]
@@ -132,14 +132,14 @@ def _returns(ax: Axes, groups: Groups, row: str) -> None:
 
 
 def _band(ax: Axes, x: Array, curves: Array, number: int, label: str) -> None:
-    """Draw the mean of curves (S, K), and the band from the least to the greatest."""
+    """Draw the mean of curves (S, K), with a band from minimum to maximum."""
     color, marker = f"C{number}", MARKERS[number % len(MARKERS)]
     ax.fill_between(x, curves.min(axis=0), curves.max(axis=0), color=color, alpha=0.16, linewidth=0)
     ax.plot(x, curves.mean(axis=0), color=color, label=label, marker=marker, markersize=2.8)
 
 
 def _training(ax: Axes, result: Sensitivity, row: str, number: int, trained: tuple[float, float] | None) -> None:
-    """Shade the range that a policy was trained in; a line at the value, if it was trained at one alone."""
+    """Shade the training range of a policy, or draw a line if the parameter was fixed in training."""
     color = f"C{number}"
     if trained is not None and trained[1] > trained[0]:
         ax.axvspan(*trained, color=color, alpha=0.07, linewidth=0, zorder=0)
@@ -149,5 +149,5 @@ def _training(ax: Axes, result: Sensitivity, row: str, number: int, trained: tup
 
 
 def _titled(row: str) -> str:
-    """Return a parameter's name with its unit, as a title."""
-    return with_unit(capital(spoken(row)), row_unit(row))
+    """Return a parameter's name and unit as a title."""
+    return with_unit(capitalize_first(humanize(row)), row_unit(row))

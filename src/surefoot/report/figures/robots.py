@@ -1,4 +1,4 @@
-"""Figure of groups of policies on robots: return in simulation and on the robot, after Tan et al. 2018, figure 5."""
+"""Figure of groups of policies on robots: return in simulation and on the robot, as in Tan et al. 2018, figure 5."""
 
 from __future__ import annotations
 
@@ -13,40 +13,41 @@ from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.evaluation.statistics import CONFIDENCE, t_interval
-from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure, place_labels, scattered
+from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure, place_labels, spread_dots
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_WIDTH = 0.36
-"""Width of a bar, where groups are 1 apart."""
-_PALE = 0.4
+_BAR_WIDTH = 0.36
+"""Width of a bar; groups are at a distance of 1."""
+_BAR_ALPHA = 0.4
 
 
 @dataclass(frozen=True)
 class GroupOnRobots:
-    """Returns of a group of policies for each robot, means over seeds and starts."""
+    """Returns of a group of policies per robot, averaged over seeds and initial states."""
 
     label: str
     home: Array
-    """Return in the policies' own simulator [m], (R,)."""
+    """Return in the training simulator (R,) [m]."""
     on_robot: Array
-    """Return on the robot [m], (R,)."""
+    """Return on the robot (R,) [m]."""
     falls: float
-    """Share of runs on robots that ended in a fall, 0 to 1."""
+    """Fraction of runs on robots that ended in a fall, 0 to 1."""
     marked: NDArray[np.bool_]
-    """Robots that are drawn as crosses, (R,)."""
+    """Whether each robot is drawn as a cross (R,)."""
 
 
 def robots_figure(groups: Sequence[GroupOnRobots], path: str | Path, marked: str = "", title: str = "") -> Path:
-    """Draw the returns of groups in simulation and on robots: bars with intervals over robots, and each robot.
+    """Draw the returns of groups in simulation and on robots, as bars with intervals over robots and one dot per robot.
 
-    A line joins a robot's two returns. Below each group stands its mean gap, over the bar on robots its share of falls.
+    A line connects the two returns of a robot. The label of a group contains its mean gap; the fraction of falls is
+    above its bar on robots.
 
     Args:
-        groups: one or more.
-        path: the figure's file (.png).
-        marked: what robots that are drawn as crosses have; empty: none is.
+        groups: one or more groups.
+        path: file to write (.png).
+        marked: meaning of crosses, for the legend; if empty, no robot is drawn as a cross.
         title: title of the figure.
     """
     with new_figure(path, (max(5.2, 1.4 + 1.35 * len(groups)), 4.2)) as (_, (ax,)):
@@ -60,28 +61,28 @@ def robots_figure(groups: Sequence[GroupOnRobots], path: str | Path, marked: str
         ax.margins(y=0.12)
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
         ax.set_title(title or "Return of an episode (m)", fontweight="bold", pad=24.0)
-        legend = f"bars: mean and interval of {CONFIDENCE:.0%} over robots; dots: robots"
+        legend = f"bars: mean and {CONFIDENCE:.0%} interval over robots; dots: robots"
         ax.set_xlabel(legend + (f"; crosses: {marked}" if marked else ""), color=QUIET, fontsize=8.0, labelpad=6.0)
         for color, name in ((BLUE, "in simulation"), (ORANGE, "on the robot")):
-            ax.bar(0, 0, color=color, alpha=_PALE, label=name)
+            ax.bar(0, 0, color=color, alpha=_BAR_ALPHA, label=name)
         ax.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, borderaxespad=0.2, columnspacing=1.4)
     return Path(path)
 
 
 def _group(ax: Axes, place: int, group: GroupOnRobots, marked: bool) -> None:
-    across = scattered(len(group.home), 0.4 * _WIDTH)
-    places = [place - _WIDTH / 2 - 0.01 + across, place + _WIDTH / 2 + 0.01 + across]
+    across = spread_dots(len(group.home), 0.4 * _BAR_WIDTH)
+    places = [place - _BAR_WIDTH / 2 - 0.01 + across, place + _BAR_WIDTH / 2 + 0.01 + across]
     ax.plot(places, [group.home, group.on_robot], color=QUIET, linewidth=0.6, alpha=0.45, zorder=2)
     crosses = group.marked if marked else np.zeros(len(group.home), np.bool_)
     for x, values, color in zip(places, (group.home, group.on_robot), (BLUE, ORANGE), strict=True):
         interval, middle = t_interval(values), float(np.mean(x - across))
         error = interval.high - interval.mean if interval.is_finite else 0.0
-        ax.bar(middle, interval.mean, _WIDTH, color=color, alpha=_PALE, linewidth=0)
+        ax.bar(middle, interval.mean, _BAR_WIDTH, color=color, alpha=_BAR_ALPHA, linewidth=0)
         ax.errorbar(middle, interval.mean, error, color=INK, linewidth=1.3, capsize=4.0, zorder=4)
         for some, marker, size in ((~crosses, "o", 3.8), (crosses, "x", 5.0)):
             ax.plot(x[some], values[some], marker, color=color, markersize=size, alpha=0.9, zorder=3)
     if group.falls > 0:
         high = t_interval(group.on_robot).high
         top = max(float(np.max(group.on_robot)), high if math.isfinite(high) else 0.0, 0.0)
-        text, where = f"{group.falls:.0%}\nfell", (place + _WIDTH / 2, top)
+        text, where = f"{group.falls:.0%}\nfell", (place + _BAR_WIDTH / 2, top)
         ax.annotate(text, where, (0, 5), textcoords="offset points", ha="center", va="bottom", fontsize=7.5, color=INK)

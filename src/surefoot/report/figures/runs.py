@@ -1,4 +1,4 @@
-"""Figures over time: one episode, runs in several worlds, one motor; each writes a PNG and returns its path."""
+"""Figures over time of an episode, runs in several worlds, or a motor; each writes a PNG and returns its path."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.evaluation.footfalls import Footfalls, analyze_footfalls
 from surefoot.evaluation.runs import measure_runs
-from surefoot.evaluation.tracking import motion
+from surefoot.evaluation.tracking import measured_velocity
 from surefoot.report.figures.style import (
     BLUE,
     GREEN,
@@ -21,11 +21,11 @@ from surefoot.report.figures.style import (
     LEG_COLORS,
     ORANGE,
     QUIET,
-    capital,
+    capitalize_first,
     heading,
+    humanize,
     new_figure,
     place_labels,
-    spoken,
 )
 from surefoot.robot import RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -34,19 +34,19 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _DIAGRAM_ORDER = ("back_left", "front_left", "front_right", "back_right")
-"""Hildebrand's order, hind above fore on each side: a trot shows as a diagonal pattern."""
+"""Hildebrand's order of legs, in which a trot appears as a diagonal pattern."""
 _DIAGRAM_TIME = 2.0
-"""Length of a footfall diagram [s]."""
+"""Duration of a footfall diagram [s]."""
 _ZOOM_TIME = 1.0
-"""Length of the part that angles are drawn of [s]."""
+"""Duration of plots of angles [s]."""
 _MEAN_TIME = 0.5
-"""Time over which speed and power are averaged [s]: they swing with every step."""
+"""Averaging time of speed and power, which oscillate with every step [s]."""
 STYLES = {"dc": (ORANGE, "servo and DC motor"), "constraint": (GREEN, "constraint motor")}
-"""Colour and name of each actuator."""
+"""Colour and label of each actuator model."""
 
 
 def footfall_diagram(trace: EpisodeTrace, path: str | Path) -> Path:
-    """Draw a Hildebrand diagram of two seconds of a trace, after the transient: bars where a foot is on the ground."""
+    """Draw a Hildebrand diagram of two seconds of a trace after the transient, with a bar for each stance of a foot."""
     with new_figure(path, (8.0, 2.4)) as (_, (ax,)):
         feet = analyze_footfalls(trace)
         _stance_bars(ax, feet)
@@ -57,9 +57,9 @@ def footfall_diagram(trace: EpisodeTrace, path: str | Path) -> Path:
 
 
 def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path) -> Path:
-    """Draw one episode: tilt, speed and power over its whole length, measured leg angles over one second.
+    """Draw an episode: tilt, speed and power over its whole duration, and measured leg coordinates over one second.
 
-    Of a robot that is steered, speeds, yaw rate and their commands, and its path from above.
+    With velocity commands also the velocities and yaw rate with their commands, and the path seen from above.
     """
     step = np.diff(trace.time, prepend=0.0)
     run, steered = measure_runs([trace]).iloc[0], bool(np.isfinite(trace.command).any())
@@ -92,24 +92,24 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
         for ax, place in zip((left, right), (-2, -1), strict=True):
             angle, name, unit = poses[:, place], robot.coordinates[place], robot.leg_geometry.units[place]
             for index, leg in enumerate(trace.leg_names):
-                # Dashed, so that a foot shows under the one that it moves with.
+                # Dashed lines do not hide the curve of another foot that moves in phase.
                 line = "--" if "right" in leg else "-"
                 color = LEG_COLORS.get(leg, f"C{index}")
-                ax.plot(trace.time[shown], angle[:, index], line, color=color, label=spoken(leg))
+                ax.plot(trace.time[shown], angle[:, index], line, color=color, label=humanize(leg))
             ax.set_title(f"Leg: {name} over one second{'' if unit == '1' else f' ({unit})'}")
             ax.set_xlim(start, start + _ZOOM_TIME)
             ax.set_xlabel("time (s)")
         _legend_above(tilt)
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=len(trace.leg_names))
-        heading(figure, f"{_name(trace)}, ended by {trace.meta['ended']}")
+        heading(figure, f"{_name(trace)}, end: {trace.meta['ended']}")
     return Path(path)
 
 
 def _tracking(axes: Sequence[Axes], trace: EpisodeTrace) -> None:
-    """Draw speeds forward and to the left and yaw rate with their commands, and the path from above, a panel each."""
+    """Draw forward and lateral velocity and yaw rate with their commands, and the path from above, one panel each."""
     *speeds, path = axes
-    measured = motion(trace)
-    titles = ("Forward speed (m/s)", "Speed to the left (m/s)", "Yaw rate (rad/s)")
+    measured = measured_velocity(trace)
+    titles = ("Forward velocity (m/s)", "Lateral velocity (m/s)", "Yaw rate (rad/s)")
     for column, (ax, title, color) in enumerate(zip(speeds, titles, (BLUE, ORANGE, GREEN), strict=True)):
         _raw_and_smooth(ax, trace, measured[:, column], color, math.nan, "")
         ax.step(trace.time, trace.command[:, column], where="pre", color=INK, linewidth=1.0, label="command")
@@ -123,7 +123,7 @@ def _tracking(axes: Sequence[Axes], trace: EpisodeTrace) -> None:
 
 
 def _stance_bars(ax: Axes, feet: Footfalls) -> None:
-    """Draw each foot's stances as bars, from the end of the transient on."""
+    """Draw each foot's stances as bars, starting after the transient."""
     first = [leg for leg in _DIAGRAM_ORDER if leg in feet.intervals]
     legs = [*first, *(leg for leg in feet.intervals if leg not in first)][::-1]
     start = feet.window[0]
@@ -131,19 +131,19 @@ def _stance_bars(ax: Axes, feet: Footfalls) -> None:
     for row, leg in enumerate(legs):
         bars = [(max(a, start), min(b, end) - max(a, start)) for a, b in feet.intervals[leg] if b > start and a < end]
         ax.broken_barh(bars, (row - 0.34, 0.68), facecolors=LEG_COLORS.get(leg, BLUE), linewidth=0)
-    place_labels(ax, [f"{spoken(leg)} ({feet.duty_factor[leg]:.2f})" for leg in legs], vertical=True)
+    place_labels(ax, [f"{humanize(leg)} ({feet.duty_factor[leg]:.2f})" for leg in legs], vertical=True)
     ax.set_ylim(-0.6, len(legs) - 0.4)
     ax.set_xlim(start, end)
 
 
 def _stride_text(feet: Footfalls) -> str:
-    """Return pattern and stride in one line."""
+    """Return a line with the footfall pattern and the stride period."""
     stride = f", stride {feet.stride_period:.2f} s" if math.isfinite(feet.stride_period) else ""
     return f"{feet.reason if feet.gait == 'other' else feet.pattern}{stride}; in brackets: duty factors"
 
 
 def _raw_and_smooth(ax: Axes, trace: EpisodeTrace, values: Array, color: str, mean: float, unit: str) -> None:
-    """Draw a signal faintly, its running mean over it, and the episode's mean as a line."""
+    """Draw a signal in a faint color, its moving average, and the episode's mean as a line."""
     ax.plot(trace.time, values, color=color, alpha=0.28, linewidth=0.7)
     width = min(max(round(_MEAN_TIME / float(trace.meta["control_step"])), 1), len(values))
     smooth = np.convolve(values, np.ones(width) / width, "valid")
@@ -154,7 +154,7 @@ def _raw_and_smooth(ax: Axes, trace: EpisodeTrace, values: Array, color: str, me
 
 
 def _legend_above(ax: Axes) -> None:
-    """Put the legend right of the title, where it covers no curve."""
+    """Put the legend right of the title, where it does not cover a curve."""
     ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.99), ncols=4, borderaxespad=0.0, columnspacing=1.2)
 
 
@@ -163,13 +163,13 @@ def _name(trace: EpisodeTrace) -> str:
 
 
 def side_by_side(runs: Mapping[str, Sequence[EpisodeTrace]], path: str | Path, title: str) -> Path:
-    """Draw runs in several worlds: place and power of all runs, tilt and one motor in a second of the first of each.
+    """Draw runs in several worlds: position and power of all runs; tilt and a motor over one second of the first runs.
 
-    What a trace lacks is left out, such as the place of a robot without motion capture.
+    Missing quantities are not drawn, such as the position of a robot without motion capture.
 
     Args:
-        runs: one trace or more for each world, home first.
-        path: PNG to write.
+        runs: one or more traces per world, home world first.
+        path: file to write (.png).
         title: title of the figure.
     """
     with new_figure(path, (9.0, 7.0), rows=3, columns=2) as (figure, axes):
@@ -196,7 +196,7 @@ def side_by_side(runs: Mapping[str, Sequence[EpisodeTrace]], path: str | Path, t
             (power, f"Mechanical power over {_MEAN_TIME:g} s (W)"),
             (pitch, "Pitch as measured (rad)"),
             (roll, "Roll as measured (rad)"),
-            (motor, f"{capital(spoken(first.meta['motor_names'][0]))} (rad)"),
+            (motor, f"{capitalize_first(humanize(first.meta['motor_names'][0]))} (rad)"),
         ):
             ax.set_title(text)
         power.set_ylim(bottom=0.0)
@@ -208,7 +208,7 @@ def side_by_side(runs: Mapping[str, Sequence[EpisodeTrace]], path: str | Path, t
 
 
 def _mean_power(trace: EpisodeTrace) -> tuple[Array, Array]:
-    """Return times [s], and the mean power [W] over the `_MEAN_TIME` before each, or since the start."""
+    """Return times [s] and the mean power [W] over the preceding `_MEAN_TIME`, or since the start."""
     energy, times = np.concatenate([[0.0], np.cumsum(trace.energy)]), np.concatenate([[0.0], trace.time])
     start = np.maximum(trace.time - _MEAN_TIME, 0.0)
     return trace.time, (energy[1:] - np.interp(start, times, energy)) / (trace.time - start)
@@ -223,15 +223,15 @@ def motor_figure(
     errors: Mapping[str, float],
     title: str,
 ) -> Path:
-    """Draw target, measured angle and each model's angle over time, and the models' errors below.
+    """Draw target, measured angle and the angle of each motor model over time, and below the models' errors.
 
     Args:
-        path: PNG to write.
-        time: (T,) [s].
-        target: (T,) [rad].
-        measured: (T,) [rad], NaN where nothing was measured. Errors refer to the target, if nothing was at all.
-        simulated: by actuator, (T,) [rad].
-        errors: by actuator, root mean square error [rad].
+        path: file to write (.png).
+        time: times (T,) [s].
+        target: target angles (T,) [rad].
+        measured: measured angles (T,) [rad], NaN where missing. If all are missing, errors are relative to the target.
+        simulated: simulated angles (T,) [rad], by actuator model.
+        errors: root mean square errors [rad], by actuator model.
         title: title of the figure.
     """
     is_measured = np.isfinite(np.asarray(measured, float)).any()
@@ -246,7 +246,7 @@ def motor_figure(
             below.plot(time, 1000 * (np.asarray(angle) - reference), color=color)
         above.set_title("Motor angle (rad)")
         below.axhline(0, color=QUIET, linewidth=0.8)
-        below.set_title(f"Less {'measured' if is_measured else 'target'} (mrad)")
+        below.set_title(f"Difference from the {'measured angle' if is_measured else 'target'} (mrad)")
         below.set_xlabel("time (s)")
         figure.legend(*above.get_legend_handles_labels(), loc="outside lower center", ncols=2)
         heading(figure, title)

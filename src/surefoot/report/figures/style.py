@@ -1,4 +1,4 @@
-"""Colours, style and parts of all figures."""
+"""Common colours, style and helpers of all figures."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ DPI = 130
 INK, QUIET, GRID = "#22272e", "#6b7480", "#e3e7eb"
 BLUE, ORANGE, GREEN = "#1f5fa8", "#c4560f", "#2f8f5b"
 COLORS = (BLUE, ORANGE, GREEN, "#7a4fa3", "#a8324a", "#1d8a99", "#5a6b1f", "#8a6d3b")
-"""Policies, groups or worlds in order, as matplotlib's C0, C1, ...; more begin anew."""
+"""Colours of policies, groups or worlds in order (matplotlib's C0, C1, ...), repeated if there are more."""
 MARKERS = "osD^vPX*"
-# Fore feet blue, hind feet orange, the left side dark and the right side light: safe for colour-blind eyes.
+# Front feet blue, hind feet orange, left dark, right light: distinguishable with colour blindness.
 LEG_COLORS = {"front_left": BLUE, "front_right": "#6aa5e0", "back_left": ORANGE, "back_right": "#f0a35e"}
 
 _STYLE: dict[str, Any] = {
@@ -57,9 +57,10 @@ _STYLE: dict[str, Any] = {
 def new_figure(
     path: str | Path, size: tuple[float, float], rows: int = 1, columns: int = 1, **options: Any
 ) -> Iterator[tuple[Figure, list[Axes]]]:
-    """Yield a new figure in the style of all figures, and its axes row by row; write it to `path` (.png) at the end.
+    """Context manager that yields a new figure in the common style and its axes, row by row, and writes it to `path`.
 
-    Other options are those of matplotlib's `Figure.subplots`. Display and the user's own style are not used.
+    `path` must end in .png; `options` are passed to matplotlib's `Figure.subplots`. The user's own style is not used,
+    and no display is needed.
     """
     import matplotlib.style
     from matplotlib import rc_context
@@ -81,28 +82,28 @@ def new_figure(
 
 
 def heading(figure: Figure, text: str) -> None:
-    """Put a bold title over all panels."""
+    """Add a bold title above all panels."""
     figure.suptitle(text, x=0.01, ha="left", fontweight="bold", color=INK, wrap=True)
 
 
 def place_labels(axis: Axes, labels: list[str], vertical: bool = False) -> None:
-    """Label the places 0, 1, ... of an axis of names, without ticks and grid."""
+    """Label the positions 0, 1, ... of a categorical axis, without ticks and grid."""
     name = "y" if vertical else "x"
     (axis.set_yticks if vertical else axis.set_xticks)(range(len(labels)), labels)
     axis.tick_params(axis=name, length=0)  # type: ignore[arg-type]
     axis.grid(visible=False, axis=name)  # type: ignore[arg-type]
 
 
-def scattered(count: int, width: float) -> Array:
-    """Return places (count,) around 0 that spread dots evenly, by the golden ratio."""
+def spread_dots(count: int, width: float) -> Array:
+    """Return offsets (count,) around 0 that spread dots evenly over a width, by the golden ratio."""
     return np.asarray(width * ((np.arange(count) * 0.618034) % 1.0 - 0.5), np.float64)
 
 
-def spoken(name: str) -> str:
-    """Return a name as words, such as front left for front_left."""
+def humanize(name: str) -> str:
+    """Return a name in words, such as front left for front_left."""
     return name.replace("_", " ").replace("imu", "IMU")
 
 
-def capital(text: str) -> str:
-    """Return text with a capital first letter."""
+def capitalize_first(text: str) -> str:
+    """Return text with its first letter capitalized."""
     return text[0].upper() + text[1:]

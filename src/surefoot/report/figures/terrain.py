@@ -1,4 +1,4 @@
-"""Figure of success over the size of terrain."""
+"""Figure of the success rate against the size of terrain."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from surefoot.world.terrain import KINDS
 
 
 def success_figure(rows: Sequence[Mapping[str, Any]], path: Path) -> Path:
-    """Draw the share of robots that keep up with their command over the size, a panel a kind of terrain.
+    """Draw the success rate against the size of terrain, one panel per kind of terrain.
 
     Args:
-        rows: with policy, world, robots, kind, size and success; those of kinds without a size are left out.
-        path: of the picture.
+        rows: rows with policy, world, robots, kind, size and success; kinds without a size are skipped.
+        path: file to write (.png).
     """
     kinds = [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]
     cases = list(dict.fromkeys((row["policy"], row["world"], row["robots"]) for row in rows))

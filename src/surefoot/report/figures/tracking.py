@@ -1,4 +1,4 @@
-"""A heat map of how well a policy follows commands, over a grid of them."""
+"""Heat map of the command tracking error of a policy over a grid of commands."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MAX_ERROR = {"m/s": 0.2, "rad/s": 0.4}
-"""Errors from which on colours are the same."""
-_NAMES = ("forward", "to the left", "yaw rate")
+"""Errors at which the colour scale ends."""
+_NAMES = ("forward", "lateral", "yaw rate")
 
 
 def tracking_figure(traces: Sequence[EpisodeTrace], path: str | Path) -> Path:
-    """Draw errors over strides of runs that had one command each; a cross where the robot fell.
+    """Draw the stride-averaged errors of runs with one constant command each; a cross marks a fall.
 
-    A row of panels for forward with turning, and one for forward with sideways, if there are such commands.
+    One row of panels shows forward and yaw rate commands; a second row shows forward and lateral commands, if any.
     """
     commands = np.array([trace.command[0] for trace in traces])
     errors = np.array([Tracking.from_traces([trace]).rmse_stride for trace in traces])
@@ -40,12 +40,12 @@ def tracking_figure(traces: Sequence[EpisodeTrace], path: str | Path) -> Path:
                 ax.set_title(f"error {name}")
                 ax.set_xlabel("forward (m/s)")
                 ax.set_ylabel(f"{_NAMES[other]} ({list(COMMANDS.values())[other]})")
-                figure.colorbar(image, ax=ax, label=f"RMSE over strides ({unit})")
+                figure.colorbar(image, ax=ax, label=f"stride-averaged RMSE ({unit})")
     return Path(path)
 
 
 def _panel(ax: Axes, commands: Array, errors: Array, fell: Array, max_error: float) -> Any:
-    """Draw errors (N,) over two commands (N, 2); return the image for a colour bar."""
+    """Draw errors (N,) as a heat map over two commands (N, 2); return the image for a colour bar."""
     x, y = (np.unique(commands[:, k]) for k in range(2))
     table = np.full((len(y), len(x)), np.nan)
     places = np.searchsorted(y, commands[:, 1]), np.searchsorted(x, commands[:, 0])

@@ -1,1 +1,1 @@
-"""Pages for a browser, served or written as one file."""
+"""Web pages, served or written as one self-contained file."""

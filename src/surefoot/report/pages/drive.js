@@ -18,7 +18,7 @@ socket.onmessage = event => {
   if (message.policies) showOptions(message);
   if (message.report) showReport(message.report);
 };
-// What there is to choose from. A policy is [name, label, group].
+// Options of the selects. A policy is [name, label, group].
 function fillPolicies(select, policies, chosen, first) {
   const groups = new Map();
   for (const [name, label, group] of policies) {
@@ -34,14 +34,14 @@ function showOptions(message) {
   if (!options || ["policy", "world", "terrain", "ghost"].some(name => message[name] !== options[name])) points = [];
   options = message; document.body.classList.toggle("real", !!message.deployed); document.body.classList.toggle("two", !!message.ghost);
   if (message.deployed) {
-    $("h0").textContent = "command forward [m/s]"; $("h2").textContent = "hottest motor [degC]";
+    $("h0").textContent = "forward command [m/s]"; $("h2").textContent = "hottest motor [°C]";
     $("h3").textContent = "roll (blue), pitch (orange) [rad]"; $("legend").hidden = true;
   }
   fillPolicies($("policy"), message.policies, message.policy, []);
   fillPolicies($("ghost"), message.policies, message.ghost, [new Option("none", "", false, !message.ghost)]);
   fill($("world"), message.worlds.map(name => [name, name]), message.world);
   if (message.terrains) fillTerrains(message);
-  fill($("speed"), message.speeds.map(s => [s, s === 1 ? "real" : `1/${Math.round(1 / s)}`]));
+  fill($("speed"), message.speeds.map(s => [s, s === 1 ? "real time" : `1/${Math.round(1 / s)}`]));
   if (message.pushes && !$("duration").length) fill($("duration"), message.pushes.map(s => [s, `${s} s`]));
   const steers = usable();
   for (const one of document.querySelectorAll("#side select, #side button, #side input")) one.disabled = !message.driver;
@@ -51,17 +51,17 @@ function showOptions(message) {
     const input = $(`c${k}`);
     input.min = low; input.max = high; input.title = `${low} to ${high} ${NAMES[k][1]}`; if (low === high) input.disabled = true;
   });
-  $("role").textContent = message.driver ? "" : "You are watching: another browser drives.";
+  $("role").textContent = message.driver ? "" : "You are watching: another browser is in control.";
   $("stick").classList.toggle("off", !steers);
   $("strafe").disabled = !message.driver || !message.limits || message.limits[1][1] === 0;
   $("strafe").parentNode.hidden = !message.limits || message.limits[1][1] === 0;
-  $("why").textContent = message.source && message.limits ? `Commands come from ${message.source}.` : message.limits ? "W S forward, back; A D sideways; Q E turn; Esc stand; or a gamepad." :
-    `${labelOf(message.policy)} follows no commands: it was trained for one gait at its own speed. Choose a policy that is steered.`;
+  $("why").textContent = message.source && message.limits ? `Commands come from ${message.source}.` : message.limits ? "Keys: W, S forward, back; A, D sideways; Q, E turn; Esc stand. Or use a gamepad." :
+    `${labelOf(message.policy)} follows no commands: it was trained for one gait and speed. Select a policy with velocity commands to steer.`;
   $("key").replaceChildren(...(message.ghost ? [["", message.policy], ["other", message.ghost]] : []).map(([kind, name]) =>
     element("div", {}, element("span", {}, element("i", { className: `dot ${kind}` }), labelOf(name)))));
   showKnobs(message.knobs, message.driver); showForce(); showRecording(shownRecording);
 }
-// Terrain: kinds with [unit, meaning, least, greatest, step, first] of their size, which flat ground and maps do not have.
+// Terrain: each kind has [unit, meaning, minimum, maximum, step, initial value] of its size; flat ground and maps have no size.
 function fillTerrains({ terrains, terrain }) {
   const [kind, number] = terrain in terrains ? [terrain] : terrain.split(":"), size = terrains[kind];
   fill($("terrain"), Object.keys(terrains).map(name => [name, name.split("/").pop().replace("_", " ")]), kind);
@@ -73,7 +73,7 @@ const showSize = () => { $("sized").textContent = `${+(+$("size").value).toPreci
 $("size").oninput = showSize;
 $("size").onchange = () => send({ terrain: [$("terrain").value, +$("size").value] });
 $("terrain").onchange = event => { send({ terrain: [event.target.value] }); event.target.blur(); };
-// Sliders, in groups; a row is built once, and shows the value that the simulation has.
+// Sliders in groups. A row is built once, and shows the value in the simulation.
 let knobKey = "", rows = {};
 const compact = value => `${+value.toPrecision(4)}`;
 function showKnobs(knobs, driver) {
@@ -119,7 +119,7 @@ function knobRow(knob, driver, whole) {
 }
 // The robot's state.
 function showReport(now) {
-  $("pause").textContent = now.paused ? "Go on" : "Pause"; $("speed").value = now.speed;
+  $("pause").textContent = now.paused ? "Continue" : "Pause"; $("speed").value = now.speed;
   if (now.recording) showRecording(now.recording);
   if (now.text !== undefined) $("state").textContent = now.text;
   if (now.time === undefined) return;
@@ -144,9 +144,9 @@ function plot(id, [command, measured, ghost]) {
 function footfalls() {
   drawSteps("p3", x, options.legs.map((leg, k) => ({ name: leg, color: COLORS[0], points: points.map(p => [p.time, p.contact[k]]) })));
 }
-// The command in numbers.
+// The command as numbers.
 $("numbers").append(...NAMES.map(([name, unit], k) => {
-  const input = element("input", { type: "number", id: `c${k}`, step: .05, value: "0.00" });
+  const input = element("input", { type: "number", id: `c${k}`, step: 0.05, value: "0.00" });
   input.setAttribute("aria-label", `command ${name}`);
   input.onchange = () => {
     const [low, high] = options.limits[k], value = parseFloat(input.value);
@@ -158,7 +158,7 @@ $("numbers").append(...NAMES.map(([name, unit], k) => {
   const measured = cell("measured"); measured.classList.add("simulated");
   return element("tr", {}, element("th", {}, name, element("small", { textContent: unit })), element("td", {}, input), measured, cell("other"));
 }));
-const shown = value => value === undefined || value === null ? "–" : (Math.abs(value) < .005 ? 0 : value).toFixed(2);
+const shown = value => value === undefined || value === null ? "–" : (Math.abs(value) < 0.005 ? 0 : value).toFixed(2);
 function showNumbers(now) {
   NAMES.forEach((_, k) => {
     if (document.activeElement !== $(`c${k}`)) $(`c${k}`).value = now.command ? shown(now.command[k]) : "";
@@ -184,26 +184,26 @@ addEventListener("keydown", event => {
 });
 addEventListener("keyup", event => { if (keys.delete(event.code)) steer(); });
 addEventListener("blur", () => { keys.clear(); steer(); });
-function shares() {
+function inputs() {
   const key = (plus, minus) => plus.some(k => keys.has(k)) - minus.some(k => keys.has(k));
   let forward = stick[0] + key(["KeyW", "ArrowUp"], ["KeyS", "ArrowDown"]), sideways = key(["KeyA"], ["KeyD"]);
   let turn = key(["KeyQ", "ArrowLeft"], ["KeyE", "ArrowRight"]);
   if ($("strafe").checked) sideways -= stick[1]; else turn -= stick[1];
-  const pad = [...(navigator.getGamepads ? navigator.getGamepads() : [])].find(one => one && one.connected), dead = v => Math.abs(v) < .12 ? 0 : v;
+  const pad = [...(navigator.getGamepads ? navigator.getGamepads() : [])].find(one => one && one.connected), dead = v => Math.abs(v) < 0.12 ? 0 : v;
   if (pad) { forward -= dead(pad.axes[1] || 0); sideways -= dead(pad.axes[0] || 0); turn -= dead(pad.axes[2] || 0); }
   return [forward, sideways, turn].map(v => Math.max(-1, Math.min(1, v)));
 }
-// A hand on joystick, keys or gamepad takes over from what was typed.
+// Joystick, keys and gamepad override typed numbers.
 function steer() {
   if (!usable()) return;
-  const share = shares(); if (dragging || share.some(v => v !== 0)) typed = [0, 0, 0];
-  const command = share.map((v, k) => typed[k] || (v > 0 ? v * options.limits[k][1] : -v * options.limits[k][0]));
-  const part = (k, [low, high] = options.limits[k]) => command[k] > 0 ? command[k] / (high || 1) : -command[k] / (low || -1);
-  const side = $("strafe").checked ? part(1) : part(2), reach = ($("stick").clientWidth - $("knob").clientWidth) / 2;
-  $("knob").style.transform = `translate(${-side * reach}px, ${-part(0) * reach}px)`;
+  const input = inputs(); if (dragging || input.some(v => v !== 0)) typed = [0, 0, 0];
+  const command = input.map((v, k) => typed[k] || (v > 0 ? v * options.limits[k][1] : -v * options.limits[k][0]));
+  const fraction = (k, [low, high] = options.limits[k]) => command[k] > 0 ? command[k] / (high || 1) : -command[k] / (low || -1);
+  const side = $("strafe").checked ? fraction(1) : fraction(2), reach = ($("stick").clientWidth - $("knob").clientWidth) / 2;
+  $("knob").style.transform = `translate(${-side * reach}px, ${-fraction(0) * reach}px)`;
   const text = command.join(), now = performance.now(), moves = command.some(v => v !== 0);
   if (text === last && !(moves && now - lastSent > 300)) return;
-  if (moves && text !== last && now - lastSent < 8) return;  // the timer sends it
+  if (moves && text !== last && now - lastSent < 8) return;  // the timer will send it
   last = text; lastSent = now; send({ command, moved: performance.timeOrigin + now });
 }
 setInterval(steer, 16);
@@ -212,7 +212,7 @@ const force = () => $("share").value * options.weight;
 function showForce() { if (options && options.weight) $("force").textContent = `${(+$("share").value).toFixed(2)} × weight = ${force().toFixed(0)} N`; }
 $("share").oninput = showForce;
 $("directions").append(...[["front", 0], ["left", 90], ["right", 270], ["back", 180]].map(([name, degrees]) => element("button", {
-  textContent: name, id: `push-${name}`, title: `push to the ${name}, seen from the robot`, onclick: () => send({ push: [force(), degrees, +$("duration").value] }),
+  textContent: name, id: `push-${name}`, title: `push towards the robot's ${name}`, onclick: () => send({ push: [force(), degrees, +$("duration").value] }),
 })));
 // Recordings.
 let shownRecording = {}, recordingKey = "", wanted = "";
@@ -221,14 +221,14 @@ function showRecording(now) {
   shownRecording = now; $("record").classList.toggle("on", !!now.on); $("record").textContent = now.on ? `Stop ${now.duration.toFixed(1)} s` : "Record";
   const key = JSON.stringify([now.on ? "on" : now, options && options.driver]); if (key === recordingKey) return;
   recordingKey = key;
-  if (now.on) { $("files").replaceChildren(element("small", { className: "quiet", textContent: `Up to ${now.limit} s; it ends when the robot falls or restarts.` })); return; }
+  if (now.on) { $("files").replaceChildren(element("small", { className: "quiet", textContent: `Records up to ${now.limit} s, or until the robot falls or restarts.` })); return; }
   if (!now.files) { $("files").replaceChildren(); return; }
   const entries = FILES.filter(([kind]) => kind !== "ghost" || now.files.ghost).map(([kind, text]) => {
     if (now.files[kind]) return element("a", { href: `files/${now.files[kind]}`, download: now.files[kind], textContent: text, id: `file-${kind}` });
-    return element("button", { textContent: now.making === kind ? `making ${text} …` : `make ${text}`, id: `make-${kind}`, disabled: !!now.making || !options.driver,
+    return element("button", { textContent: now.making === kind ? `exporting ${text} …` : `export ${text}`, id: `make-${kind}`, disabled: !!now.making || !options.driver,
       onclick: () => { wanted = kind; send({ export: kind }); } });
   });
-  $("files").replaceChildren(element("div", {}, `Recorded ${now.duration.toFixed(1)} s${now.note ? `; it ended: ${now.note}` : ""}.`),
+  $("files").replaceChildren(element("div", {}, `Recorded ${now.duration.toFixed(1)} s${now.note ? `; ended because ${now.note}` : ""}.`),
     element("div", { className: "row" }, ...entries), element("small", { className: "quiet", textContent: `in ${now.folder}` }));
   if (wanted && now.files[wanted]) { $(`file-${wanted}`).click(); wanted = ""; }
 }
@@ -241,8 +241,8 @@ for (const name of ["stop", "damp"]) $(name).onclick = () => {
 $("restart").onclick = () => send({ restart: true });
 $("speed").onchange = event => send({ speed: +event.target.value });
 for (const name of ["policy", "world", "ghost"]) $(name).onchange = event => { send({ [name]: event.target.value }); event.target.blur(); };
-// Cameras: angle about the vertical from the robot's heading, and down from it [rad]. Each tab has its own.
-const CAMERAS = { free: null, behind: [0, 1.2], side: [Math.PI / 2, 1.35], front: [Math.PI, 1.25], top: [0, .01] };
+// Cameras: azimuth relative to the robot's heading, and polar angle from the vertical [rad]. Each tab has its own camera.
+const CAMERAS = { free: null, behind: [0, 1.2], side: [Math.PI / 2, 1.35], front: [Math.PI, 1.25], top: [0, 0.01] };
 let camera = "free", cameraTime = 0;
 $("camera").append(...Object.keys(CAMERAS).map(name => element("button", { textContent: name, id: `camera-${name}`, onclick: () => setCamera(name) })));
 function setCamera(name) { camera = name; for (const one of $("camera").children) one.setAttribute("aria-pressed", one.textContent === name); }
@@ -251,7 +251,7 @@ const turn = angle => Math.atan2(Math.sin(angle), Math.cos(angle));
 requestAnimationFrame(function follow(time) {
   requestAnimationFrame(follow);
   const viewer = $("view").contentWindow && $("view").contentWindow.__viserMutable, control = viewer && viewer.cameraControl;
-  const share = 1 - Math.exp(-Math.min(time - cameraTime, 200) / 200); cameraTime = time;
+  const blend = 1 - Math.exp(-Math.min(time - cameraTime, 200) / 200); cameraTime = time;
   if (!control || !options) return;
   if (!control.surefoot) { control.surefoot = true; control.addEventListener("controlstart", () => setCamera("free")); }
   const pose = viewer.nodePoseData[options.node];
@@ -259,5 +259,5 @@ requestAnimationFrame(function follow(time) {
   const [w, x, y, z] = pose.wxyz, yaw = Math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z));
   const about = turn(CAMERAS[camera][0] + yaw - control.azimuthAngle), down = CAMERAS[camera][1] - control.polarAngle;
   if (Math.abs(about) + Math.abs(down) < 1e-4) return;
-  control.rotateTo(control.azimuthAngle + share * about, control.polarAngle + share * down, false); viewer.requestRender();
+  control.rotateTo(control.azimuthAngle + blend * about, control.polarAngle + blend * down, false); viewer.requestRender();
 });

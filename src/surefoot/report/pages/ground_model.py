@@ -1,4 +1,4 @@
-"""A ground that is not flat as a model (GLB) for the pages' 3D views: its surface with squares, and its walls."""
+"""Model (GLB) of uneven ground for the 3D views of pages: its surface with a checker pattern, and its walls."""
 
 from __future__ import annotations
 
@@ -16,39 +16,39 @@ from surefoot.report.drawing.uneven_ground import height_tint
 from surefoot.world.ground import Ground
 
 _TILE = 0.25
-"""Side of a square [m]."""
+"""Side of a square of the checker pattern [m]."""
 _SQUARES, _EDGE, _WALL = ((150, 156, 160), (122, 128, 132)), (60, 66, 72), (104, 110, 115)
-"""Colors of squares, of lines along the edges of steps, and of walls: darker than they look in the pages' light."""
+"""Colors of squares, of lines along the edges of steps, and of walls; they appear brighter in the light of the view."""
 _EDGE_WIDTH = 0.03
-"""Width [m] of lines along edges."""
+"""Width of lines along edges [m]."""
 _DEPTH, _DEPTH_DARK = 0.25, 0.5
-"""Depth below the course [m] over which the ground grows darker, and how much darker it becomes, as a share."""
+"""Depth below the ground slope over which the ground is darkened [m], and the maximum relative reduction."""
 _PIXELS = 2048
-"""Pixels of the surface's picture along each side."""
+"""Size of the surface's texture along each side [px]."""
 _WALL_PIXELS = 256
-"""Pixels of the walls' picture from bottom to top."""
+"""Height of the walls' texture [px]."""
 
 
 @functools.lru_cache(maxsize=4)
 def ground_model(part: Ground) -> bytes:
-    """Return the model of a ground, in the world's frame."""
+    """Return the model of a ground, in the world frame."""
     triangles, normals = faces(part)
     is_wall = np.abs(normals[:, 2]) < 1e-6
     sides = part.cell * np.array(part.corners.shape[:2])
     low, high = float(part.corners.min()), float(part.corners.max())
     scene = trimesh.Scene()
-    looks: list[tuple[str, Any, Image.Image]] = [
-        ("surface", ~is_wall, _picture(part)),
-        ("walls", is_wall, _wall_picture(low, high)),
+    textures: list[tuple[str, Any, Image.Image]] = [
+        ("surface", ~is_wall, _surface_texture(part)),
+        ("walls", is_wall, _wall_texture(low, high)),
     ]
-    for name, rows, look in looks:
+    for name, rows, texture in textures:
         if not rows.any():
             continue
         corners = triangles[rows].reshape(-1, 3)
-        # Corners of one place are one point: a viewer computes the normals of triangles.
+        # Merge coincident corners, because the viewer computes normals from shared points.
         _, first, index = np.unique(np.round(corners, 6), axis=0, return_index=True, return_inverse=True)
         points = corners[first]
-        material = PBRMaterial(metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True, baseColorTexture=look)
+        material = PBRMaterial(metallicFactor=0.0, roughnessFactor=1.0, doubleSided=True, baseColorTexture=texture)
         uv = (points[:, :2] - part.grid[:2]) / sides
         if name == "walls":
             uv = np.column_stack([np.full(len(points), 0.5), (points[:, 2] - low) / (high - low)])
@@ -57,14 +57,14 @@ def ground_model(part: Ground) -> bytes:
     return bytes(scene.export(file_type="glb"))
 
 
-def _wall_picture(low: float, high: float) -> Image.Image:
-    """Return the color of walls between two heights [m], the high one on top."""
+def _wall_texture(low: float, high: float) -> Image.Image:
+    """Return the texture of walls between two heights [m], with `high` at the top."""
     tint = np.stack(height_tint(np.linspace(high, low, _WALL_PIXELS)), axis=-1)
     return Image.fromarray((tint[:, None] * _WALL).repeat(2, axis=1).astype(np.uint8))
 
 
-def _picture(part: Ground) -> Image.Image:
-    """Return the squares of a ground from above, x to the right and y up, and the lines along edges."""
+def _surface_texture(part: Ground) -> Image.Image:
+    """Return the texture of a ground from above (x right, y up): squares, and lines along edges."""
     at = (np.arange(_PIXELS) + 0.5) * part.cell * len(part.corners) / _PIXELS
     x, y = (np.floor((at + low) / _TILE).astype(int) for low in part.grid[:2])
     picture = np.array(_SQUARES, np.uint8)[(x[:, None] + y) % 2]
@@ -73,7 +73,7 @@ def _picture(part: Ground) -> Image.Image:
     for end, near in enumerate((within < width, within > 1.0 - width)):
         picture[edges[index][:, index, 0, end] & near[:, None]] = _EDGE
         picture[edges[index][:, index, 1, end] & near] = _EDGE
-    below = np.maximum(part.course - part.corners.mean(axis=(2, 3)), 0.0)
+    below = np.maximum(part.smooth_heights - part.corners.mean(axis=(2, 3)), 0.0)
     bright = 1.0 - _DEPTH_DARK * (1.0 - np.exp(-below / _DEPTH))
     tint = np.stack(height_tint(part.corners.mean(axis=(2, 3))), axis=-1) * bright[..., None]
     picture = (picture * tint[index][:, index]).astype(np.uint8)

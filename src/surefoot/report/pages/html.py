@@ -1,4 +1,4 @@
-"""Parts of pages that load nothing from elsewhere: a frame with one style, tables, pictures."""
+"""Parts of self-contained pages: a frame with one style, table rows, images."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ code { font-size: .85em; overflow-wrap: anywhere; } figure { margin: 1rem 0; } .
 
 
 def page(title: str, parts: Iterable[str]) -> str:
-    """Return a whole page of HTML parts; the title is text."""
+    """Return a complete page from HTML parts; the title is plain text."""
     head = f'<meta charset="utf-8"><meta name="viewport" content="width=device-width"><title>{escape(title)}</title>'
     body = "\n".join(parts)
     return (
@@ -29,7 +29,7 @@ def page(title: str, parts: Iterable[str]) -> str:
 
 
 def row(texts: Sequence[str], kinds: str, tag: str = "td") -> str:
-    """Return a row of a table; `kinds` has an n for each column of numbers, a t for text, an h for HTML."""
+    """Return a table row; `kinds` has one letter per column: n for numbers, t for text, h for HTML."""
     cells = (
         f"<{tag}{' class=n' if kind == 'n' else ''}>{text if kind == 'h' else escape(text)}</{tag}>"
         for text, kind in zip(texts, kinds, strict=True)
@@ -37,13 +37,13 @@ def row(texts: Sequence[str], kinds: str, tag: str = "td") -> str:
     return f"<tr>{''.join(cells)}</tr>"
 
 
-def picture(png: bytes, alt: str) -> str:
-    """Return a picture as part of the page."""
+def image(png: bytes, alt: str) -> str:
+    """Return a PNG as an embedded image."""
     return f'<img alt="{escape(alt)}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
 
 
 def document(name: str) -> str:
-    """Return the page in a file beside this one, with the shared style and plots."""
+    """Return the page in a file of this package, with the shared style and scripts inserted."""
     here = Path(__file__).parent
     text = (here / name).read_text("utf-8")
     for mark, part in (("/* page.css */", "page.css"), ("// plots.js", "plots.js"), ("// drive.js", "drive.js")):

@@ -1,4 +1,4 @@
-"""The report of an identification: one picture, and one page that holds everything."""
+"""Report of an identification: a figure, and a self-contained page."""
 
 from __future__ import annotations
 
@@ -17,38 +17,38 @@ from surefoot.robot import PhysicalParams, RobotDescription
 def write_report(
     result: Identification, robot: RobotDescription, prior: PhysicalParams, folder: Path, source: str = ""
 ) -> list[Path]:
-    """Write `report.png` and `report.html` to a folder; return both.
+    """Write `report.png` and `report.html` to a folder; return both paths.
 
     Args:
         result: the identification.
         robot: its description.
         prior: parameters before, one row.
-        folder: made, if it does not exist.
-        source: where the data come from.
+        folder: folder, which is created if it does not exist.
+        source: description of the data's origin.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    picture = identification_figure(result, robot, prior, folder / "report.png")
+    figure = identification_figure(result, robot, prior, folder / "report.png")
     path = folder / "report.html"
-    atomic_write(path, page(result, robot, prior, picture.read_bytes(), source))
-    return [picture, path]
+    atomic_write(path, page(result, robot, prior, figure.read_bytes(), source))
+    return [figure, path]
 
 
 def page(
-    result: Identification, robot: RobotDescription, prior: PhysicalParams, picture: bytes, source: str = ""
+    result: Identification, robot: RobotDescription, prior: PhysicalParams, figure: bytes, source: str = ""
 ) -> str:
-    """Return the page as HTML with its picture (PNG), which loads nothing from elsewhere; else as `write_report`."""
+    """Return the self-contained page with its figure (PNG); for the other arguments see `write_report`."""
     title = f"{result.experiment}: parameters of {result.robot}"
     count = sum(item.identifiable for item in result.estimates)
     facts = [("data", source), ("recorded", result.date), ("SHA-256", result.digest), ("surefoot", __version__)]
     parts = [
         f"<h1>{escape(title)}</h1>",
-        f'<p class="quiet">{count} of {len(result.estimates)} numbers are identifiable from the data.</p>',
+        f'<p class="quiet">{count} of {len(result.estimates)} parameters are identifiable from the data.</p>',
         *_section("Estimates", _estimates(result.estimates, robot, prior)),
         *_section(result.checks_title, _checks(result)),
         *_section("Hardly distinguishable", _correlations(result, robot)),
         *_section("Notes", "".join(f"<li>{escape(note)}</li>" for note in result.notes), "ul"),
-        "<h2>Pictures</h2>",
-        html.picture(picture, "intervals, series and correlations"),
+        "<h2>Figures</h2>",
+        html.image(figure, "intervals, series and correlations"),
         *_section("Data", "".join(f"<tr><td>{k}</td><td><code>{escape(v)}</code></td></tr>" for k, v in facts if v)),
     ]
     return html.page(title, parts)

@@ -1,6 +1,6 @@
-"""Messages of a browser's tab to a page with a robot: one dataclass per page, read by the reader of configurations.
+"""Messages from a browser tab to a page with a robot: one dataclass per page, parsed like a configuration.
 
-A message is a JSON object. Its keys are fields of the page's dataclass; any key may be left out.
+A message is a JSON object. Its keys are fields of the page's dataclass; any key may be omitted.
 """
 
 from __future__ import annotations
@@ -14,28 +14,28 @@ from surefoot.configuration import Within, from_mapping
 from surefoot.errors import SurefootError, choices, quote
 
 Pressed = Literal[True]
-"""What a button sends."""
+"""Value that a button sends."""
 T = TypeVar("T", bound="TabMessage")
 
 
 @dataclass(frozen=True)
 class TabMessage:
-    """Keys that every page takes."""
+    """Keys accepted by every page."""
 
     command: tuple[float, float, float] | None = None
-    """Command: forward, sideways [m/s], yaw rate [rad/s]. The robot clamps it to the policy's limits."""
+    """Velocity command: forward, sideways [m/s], yaw rate [rad/s]. It is clipped to the policy's limits."""
     moved: float | None = None
-    """When the hand moved that gave the command [ms since 1970]."""
+    """Time of the user's input that caused the command [ms since 1970]."""
 
     @property
     def is_from_anyone(self) -> bool:
-        """Whether tabs that watch may send the message."""
+        """Whether tabs that only watch may send the message."""
         return False
 
 
 @dataclass(frozen=True)
 class DriveMessage(TabMessage):
-    """A message to the page of a simulated robot."""
+    """Message to the page of a simulated robot."""
 
     set: tuple[str, float] | None = None
     """Name and new value of a physical parameter."""
@@ -44,53 +44,53 @@ class DriveMessage(TabMessage):
     pause: bool | None = None
     restart: Pressed | None = None
     speed: float | None = None
-    """Simulated over real time."""
+    """Simulation speed relative to real time."""
     record: bool | None = None
-    """Begin or end a recording."""
+    """Start or stop a recording."""
     export: str | None = None
-    """Kind of file to make of the last recording."""
+    """File type to which the last recording is exported."""
     policy: str | None = None
     world: str | None = None
     ghost: str | None = None
-    """Policy of the second robot; empty for no second robot."""
+    """Policy of the second robot; empty to remove it."""
     terrain: tuple[str] | tuple[str, float] | None = None
-    """Kind of terrain and its size, or a map."""
+    """Kind of terrain and its size, or a height map."""
 
 
 @dataclass(frozen=True)
 class DeployMessage(TabMessage):
-    """A message to the page of a robot."""
+    """Message to the page of a deployed robot."""
 
     stop: Pressed | None = None
     """Sit down and disarm."""
     damp: Pressed | None = None
-    """Damp the motors at once."""
+    """Damp the motors immediately."""
 
     @property
     def is_from_anyone(self) -> bool:
-        """Whether it stops the robot and does nothing else: a tab that drives must not take the buttons from others."""
+        """Whether the message only stops the robot, which every tab may do, whichever tab is in control."""
         return self.command is None and self.moved is None
 
 
 def read_message(kind: type[T], text: str | bytes) -> T:
-    """Return the message of a tab.
+    """Parse a message from a tab.
 
     Args:
         kind: dataclass of the page's messages.
-        text: what the tab sent; it is hostile until it is read.
+        text: untrusted text from the tab.
 
     Raises:
-        SurefootError: no JSON, unknown keys, no key at all, or values of the wrong type, length or range.
+        SurefootError: the text is not JSON, has no or unknown keys, or values of the wrong type, length or range.
     """
     try:
-        data = json.loads(text, parse_constant=_refuse_constant)
+        data = json.loads(text, parse_constant=_reject_constant)
     except (ValueError, RecursionError) as error:
-        raise SurefootError(f"message is no JSON: {error}") from None
+        raise SurefootError(f"message is not JSON: {error}") from None
     if not isinstance(data, dict) or not data or None in data.values():
         keys = choices(field.name for field in dataclasses.fields(kind))
-        raise SurefootError(f"message is {quote(data)}; it must be an object with values for some of the keys {keys}")
+        raise SurefootError(f"message is {quote(data)}; it must be an object with one or more of the keys {keys}")
     return from_mapping(kind, data)
 
 
-def _refuse_constant(word: str) -> Any:
+def _reject_constant(word: str) -> Any:
     raise ValueError(f"{word} is not a number")

@@ -1,4 +1,4 @@
-"""The page of policies side by side: a table for each condition."""
+"""Report of a comparison of policies: one table per condition."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pandas as pd
 
 from surefoot import __version__
 from surefoot.evaluation.conditions import Condition
-from surefoot.evaluation.policy_table import texts
+from surefoot.evaluation.policy_table import format_rows
 from surefoot.files import atomic_write
 from surefoot.report.pages import html
 from surefoot.robot.commands import COMMANDS
@@ -25,31 +25,31 @@ def write_page(
     commands: CommandConfig,
     sources: Sequence[tuple[str, str]],
 ) -> Path:
-    """Write the page, which loads nothing from elsewhere.
+    """Write the report as a self-contained page.
 
     Args:
-        path: .html to write.
+        path: file to write (.html).
         robot: name of the robot.
-        table: rows of `measure`, with the column policy.
-        conditions: that were measured, in order.
-        commands: how they were drawn.
-        sources: each policy's name and where it comes from.
+        table: rows of `measure`, with the column `policy`.
+        conditions: conditions in the table, in order.
+        commands: distribution of the commands.
+        sources: name and origin of each policy.
     """
-    title = f"Policies of {robot}, side by side"
+    title = f"Comparison of policies for {robot}"
     ranges = "; ".join(
         f"{name.replace('_', ' ')} {getattr(commands, name)[0]:g} to {getattr(commands, name)[1]:g} {unit}"
         for name, unit in COMMANDS.items()
     )
     parts = [
         f"<h1>{escape(title)}</h1>",
-        f'<p class="quiet">The same commands and the same robots for all: {escape(ranges)}, a new one each '
-        f"{commands.hold[0]:g} to {commands.hold[1]:g} s. Errors are root mean squares, of the mean speed over each "
-        "stride and, in the last columns, at once; without the first second of each command. Cost of transport: energy "
-        "over weight and distance along commands. Hottest motor: its mean heat. In simulation; no robot has run it. "
-        f"surefoot {escape(__version__)}.</p>",
+        f'<p class="quiet">All policies run with the same random commands on the same robots: {escape(ranges)}, with a '
+        f"new command every {commands.hold[0]:g} to {commands.hold[1]:g} s. Errors are root mean squares of the mean "
+        "velocity over each stride and, in the last columns, of the instantaneous velocity; the first second of each "
+        "command is excluded. Cost of transport: energy per weight and distance along the command. Hottest motor: its "
+        f"mean heat. Results from simulation, not from a robot. surefoot {escape(__version__)}.</p>",
     ]
     for condition in conditions:
-        rows = texts(table, condition.name)
+        rows = format_rows(table, condition.name)
         if not rows:
             continue
         kinds = "t" + "n" * (len(rows[0]) - 1)

@@ -1,7 +1,7 @@
-"""A page that replays traces: robots in 3D, a time line, and plots that follow it, without a server behind it.
+"""Self-contained page that replays traces: robots in 3D, a time line, and synchronized plots.
 
-The page holds all that it shows: viser's client, the robots at rest in its format, and the traces' numbers at an even
-rate. Its script moves the robots' frames. So the same page is served from a port and written to a file.
+The page contains viser's client, the robots at rest in viser's format, and the traces resampled at a constant rate; its
+script moves the robots' frames. It needs no server, so the same page can be served from a port or written to a file.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import viser
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, prefix_errors
 from surefoot.evaluation.foot_forces import foot_forces
-from surefoot.evaluation.recorded import ground_of
-from surefoot.evaluation.tracking import motion
+from surefoot.evaluation.recorded import ground_for_trace
+from surefoot.evaluation.tracking import measured_velocity
 from surefoot.report.drawing.ground_part import ground_around
 from surefoot.report.drawing.scene import extent, poses
 from surefoot.report.pages.html import document
@@ -46,12 +46,12 @@ from surefoot.world.ground import Ground
 
 MAX_TRACES = 16
 RATE = 50.0
-"""Rows a second of the page; fewer for traces that are longer than `_MAX_ROWS` together."""
+"""Rows per second on the page; fewer if all traces together have more than `_MAX_ROWS`."""
 _MAX_ROWS = 20_000
 _MAX_DURATION = 3600.0
 _MAX_VALUE = 1e6
 _MEAN_TIME = 0.25
-"""Time over which plotted speeds and powers are averaged [s]."""
+"""Averaging time of plotted speeds and powers [s]."""
 _COLORS = (
     (59, 110, 168),
     (208, 102, 43),
@@ -64,45 +64,45 @@ _COLORS = (
 _FORCE_COLOR = (230, 150, 30)
 _MISSING = -32768
 _PATH_HEIGHT = 0.004
-"""Height of paths over the ground [m]."""
+"""Height of drawn paths above the ground [m]."""
 
 
 @dataclass(frozen=True)
 class ShownTrace:
-    """A trace on the page, with its name and robot."""
+    """Trace to show, with its name and robot."""
 
     name: str
     robot: RobotDescription
     trace: EpisodeTrace
     map_file: Path | None = None
-    """See `ground_of`."""
+    """File of the height map, see `ground_for_trace`."""
 
     def __post_init__(self) -> None:
-        """Refuse a trace of another robot, and one that is too long."""
+        """Reject a trace of another robot, and one that is too long."""
         robot, meta = self.robot, self.trace.meta
         if (meta["robot"], *meta["motor_names"]) != (robot.name, *robot.motor_names):
             raise SurefootError(
-                f"{self.name} is of robot '{meta['robot']}', not of '{robot.name}' with its motors' names"
+                f"{self.name} was recorded on robot '{meta['robot']}', not on '{robot.name}' with its motors"
             )
         if self.duration > _MAX_DURATION:
-            raise SurefootError(f"{self.name} is {self.duration:g} s long; at most {_MAX_DURATION:g} s are shown")
+            raise SurefootError(f"{self.name} is {self.duration:g} s long; the maximum is {_MAX_DURATION:g} s")
 
     @property
     def time(self) -> Array:
-        """Times of the rows (T,) [s] since the start. Logs have no start: their first row is at 0."""
-        return self.trace.time - (self.trace.time[0] if self.trace.imported else 0.0)
+        """Times of the rows (T,) since the start [s]; the first row of an imported log is at 0."""
+        return self.trace.time - (self.trace.time[0] if self.trace.is_imported else 0.0)
 
     @property
     def duration(self) -> float:
-        """Length [s]."""
+        """Duration [s]."""
         return float(self.time[-1])
 
 
 def recording_page(traces: Sequence[ShownTrace], layout: str = "side") -> str:
-    """Return the page (HTML) that shows traces `side` by side, laid `over` each other, or `one` at a time.
+    """Return the page (HTML) that replays traces; `layout` is side (by side), over (each other) or one (at a time).
 
     Raises:
-        SurefootError: none or too many, or values that can't be shown.
+        SurefootError: there is no trace or too many, or values can't be shown.
     """
     if not 1 <= len(traces) <= MAX_TRACES:
         raise SurefootError(f"{len(traces)} traces are given; a page shows 1 to {MAX_TRACES}")
@@ -110,7 +110,7 @@ def recording_page(traces: Sequence[ShownTrace], layout: str = "side") -> str:
     runs, paths, grounds = [], [], list[Ground]()
     for number, one in enumerate(traces):
         with prefix_errors(one.name):
-            ground = ground_of(one.trace, one.map_file)
+            ground = ground_for_trace(one.trace, one.map_file)
             run, path = _run(one, rate, f"/world/r{number}", ground)
         if ground not in grounds:
             grounds.append(ground)
@@ -120,7 +120,7 @@ def recording_page(traces: Sequence[ShownTrace], layout: str = "side") -> str:
         paths.append(path)
     size = max(run["size"] for run in runs)
     if layout == "side" and not all(ground.is_flat for ground in grounds):
-        layout = "over"  # robots stay where they were on such a ground
+        layout = "over"  # robots can't be moved sideways on uneven ground
     data = {"layout": layout, "rate": rate, "size": size, "runs": runs, "last": f"/world/r{len(runs) - 1}/last"}
     viewer = _viewer(traces, runs, paths, grounds, size, tinted=len(runs) > 1 and layout != "one")
     page = document("show.html").replace("<head>", f"<head>\n<!--\n{_license()}\n-->", 1)
@@ -128,34 +128,34 @@ def recording_page(traces: Sequence[ShownTrace], layout: str = "side") -> str:
 
 
 def _script(value: Any) -> str:
-    """Return a value for a script of a page; no text in it can end the script."""
+    """Return a value as JSON for a page's script, escaped so that no text in it can end the script."""
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c")
 
 
 def _license() -> str:
-    """Return the license of viser's client, a copy of which is in the page."""
+    """Return the license of viser's client, which the page contains."""
     texts = [file.read_text("utf-8") for file in metadata.files("viser") or () if file.name == "LICENSE"]
     return "\n".join(["This page holds a copy of viser's client.", *texts]).replace("--", "- -")
 
 
 def _run(shown: ShownTrace, rate: float, node: str, ground: Ground) -> tuple[dict[str, Any], Array]:
-    """Return the data of a trace on a ground for the page's script, and the path of its base over it (T, 3) [m]."""
+    """Return a trace's data for the page's script, and the path of its base on the ground (T, 3) [m]."""
     trace, robot = shown.trace, shown.robot
     time = np.arange(int(shown.duration * rate + 1e-6) + 1) / rate
     angles, angle_notes = _angles(trace)
-    # A leg whose loop can't close at the angles that were read moves between the rows around them.
+    # If a leg can't close its loop at the measured angles, its joints are interpolated from other rows.
     joints = {name: _interpolate(values[:, None])[:, 0] for name, values in robot.joint_angles(angles).items()}
     if not np.isfinite([*joints.values()]).all():
         raise SurefootError("a leg can't close its loop at any of the motor angles")
     feet = robot.foot_positions(angles)
-    # Over flat ground runs begin in one place; elsewhere they stay where they were.
+    # On flat ground all runs start at the same place; on uneven ground they keep their position.
     start = _start(trace) if ground.is_flat else (np.zeros(2), 0.0)
     position, quat, base_notes = _base(trace, feet, start)
     forces = foot_forces(robot, angles, trace.motor_torque)
     forces[np.isfinite(forces[..., 2]) & ((trace.foot_contact < 0.5) | (forces[..., 2] < 0.0))] = 0.0
     with np.errstate(divide="ignore", invalid="ignore"):
-        speed = motion(trace)
-    speed[~np.isfinite(speed)] = np.nan  # where times repeat
+        speed = measured_velocity(trace)
+    speed[~np.isfinite(speed)] = np.nan  # if times repeat
     power = trace.energy / np.diff(trace.time, prepend=0.0).clip(1e-4)
     count = max(round(_MEAN_TIME / float(trace.meta["control_step"])), 1)
     rows, size, frames = len(trace.time), extent(robot), _link_frames(robot, f"{node}/base")
@@ -174,11 +174,11 @@ def _run(shown: ShownTrace, rate: float, node: str, ground: Ground) -> tuple[dic
         "contact": trace.foot_contact,
     }
     if not ground.is_flat:
-        columns["level"] = ground.level(position[:, :2])[:, None]
+        columns["level"] = ground.smooth_height(position[:, :2])[:, None]
     columns = {name: values for name, values in columns.items() if np.isfinite(values).any()}
     for name, values in columns.items():
-        if (greatest := np.nanmax(np.abs(values))) > _MAX_VALUE:
-            raise SurefootError(f"its {name} is up to {greatest:g}; nothing over {_MAX_VALUE:g} is shown")
+        if (maximum := np.nanmax(np.abs(values))) > _MAX_VALUE:
+            raise SurefootError(f"its {name} is up to {maximum:g}; the maximum is {_MAX_VALUE:g}")
     ended = {"time": "", "fall": ", fell", "fault": ", ended by a fault", "stopped": ", stopped"}[trace.meta["ended"]]
     place = str(trace.meta["world"])[:60] + ("" if ground.is_flat else f" on {trace.meta['terrain']}")
     title = f"{robot.name} in {place}, {shown.duration:.2f} s{ended}"
@@ -201,7 +201,7 @@ def _run(shown: ShownTrace, rate: float, node: str, ground: Ground) -> tuple[dic
 
 
 def _start(trace: EpisodeTrace) -> tuple[Array, float]:
-    """Return the first measured place (2,) [m] and yaw [rad] of the base; zeros without any."""
+    """Return the first measured position (2,) [m] and yaw [rad] of the base; zeros if it was never measured."""
     measured = np.isfinite(trace.base_position_world).all(axis=1) & np.isfinite(trace.base_quat_world).all(axis=1)
     if not measured.any():
         return np.zeros(2), 0.0
@@ -210,10 +210,10 @@ def _start(trace: EpisodeTrace) -> tuple[Array, float]:
 
 
 def _base(trace: EpisodeTrace, feet: Array, start: tuple[Array, float]) -> tuple[Array, Array, list[str]]:
-    """Return position (T, 3) [m] and quaternion (T, 4) of the base from a place and yaw on, and notes.
+    """Return position (T, 3) [m] and quaternion (T, 4) of the base relative to a start (position, yaw), and notes.
 
-    If it was never measured, its height is the median of how far its feet (T, L, 3) [m], in the base's frame, reach
-    down.
+    If the base was never measured, its height is the median depth of the lowest foot; `feet` (T, L, 3) [m] are in the
+    base frame.
     """
     position, quat = trace.base_position_world[1:], trace.base_quat_world[1:]
     measured = np.asarray(np.isfinite(position).all(axis=1) & np.isfinite(quat).all(axis=1))
@@ -221,8 +221,8 @@ def _base(trace: EpisodeTrace, feet: Array, start: tuple[Array, float]) -> tuple
         attitude = np.nan_to_num(_interpolate(trace.roll_pitch_yaw))
         attitude[:, 2] -= attitude[0, 2]
         place = np.tile([0.0, 0.0, -np.nanmedian(np.min(feet[..., 2], axis=1))], (len(measured), 1))
-        turned = "turned as its IMU measured" if np.isfinite(trace.roll_pitch_yaw).any() else "level"
-        note = f"the base was not measured: it is held at standing height, {turned}"
+        orientation = "oriented as the IMU measured" if np.isfinite(trace.roll_pitch_yaw).any() else "level"
+        note = f"the base was not measured: it is shown at standing height, {orientation}"
         return place, _continuous(np.array([rpy_quat(*row) for row in attitude])), [note]
     notes = [] if measured.all() else [f"the base was not measured in {100 * (1 - measured.mean()):.1f} % of the rows"]
     origin, yaw = start
@@ -239,29 +239,29 @@ def _base(trace: EpisodeTrace, feet: Array, start: tuple[Array, float]) -> tuple
 
 
 def _angles(trace: EpisodeTrace) -> tuple[Array, list[str]]:
-    """Return the motors' angles (T, M) [rad], true ones, else those that were read, else commands; and notes."""
+    """Return motor angles (T, M) [rad] (true angles, or else readings, or else commands), and notes."""
     if np.isfinite(trace.true_motor_angle).all():
         return trace.true_motor_angle, []
-    read = np.asarray(np.isfinite(trace.motor_angle).any(axis=0))
-    angles = np.where(read, _interpolate(trace.motor_angle), trace.target)
-    return angles, [] if read.all() else [
-        f"{np.sum(~read)} of {len(read)} motors were not read: their commands are shown"
+    was_read = np.asarray(np.isfinite(trace.motor_angle).any(axis=0))
+    angles = np.where(was_read, _interpolate(trace.motor_angle), trace.target)
+    return angles, [] if was_read.all() else [
+        f"{np.sum(~was_read)} of {len(was_read)} motors were not read: their commands are shown"
     ]
 
 
 def _continuous(quat: Array) -> Array:
-    """Return quaternions (T, 4) with signs that do not jump, so that they can be interpolated."""
+    """Return quaternions (T, 4) with continuous signs, so that they can be interpolated."""
     signs = np.where(np.nansum(quat[1:] * quat[:-1], axis=1) < 0.0, -1.0, 1.0)
     return quat * np.concatenate([[1.0], np.cumprod(signs)])[:, None]
 
 
 def _interpolate(values: Array) -> Array:
-    """Return columns (T, k) with missing values interpolated over the rows; a column without any value stays NaN."""
+    """Interpolate missing values of columns (T, k) over the rows; a column without any value stays NaN."""
     return np.array(pd.DataFrame(values).interpolate(limit_direction="both"))
 
 
 def _pack(time: Array, times: Array, values: Array) -> dict[str, Any]:
-    """Return columns (T, k) at other times (N,) as 16-bit steps from each column's least value to its greatest."""
+    """Resample columns (T, k) at times (N,), and quantize each to 16 bits between its minimum and maximum."""
     values = np.column_stack([np.interp(time, times, column) for column in values.T])
     is_finite = np.isfinite(values)
     values[:, ~is_finite.any(axis=0)] = 0.0
@@ -273,7 +273,7 @@ def _pack(time: Array, times: Array, values: Array) -> dict[str, Any]:
 
 
 def _link_frames(robot: RobotDescription, base: str) -> dict[str, str]:
-    """Return the name of each link's frame in the scene: joints are nested from the root on, below the base."""
+    """Return the scene path of each link's frame; links are nested like the joints, below the base."""
     frames = {robot.urdf.root: f"{base}/root"}
     for joint in robot.urdf.tree:
         frames[joint.child] = f"{frames[joint.parent]}/l{len(frames)}"
@@ -288,7 +288,7 @@ def _viewer(
     size: float,
     tinted: bool,
 ) -> str:
-    """Return viser's page with grounds and the robots in their resting poses; `tinted`: each in a color of its own."""
+    """Return viser's page with grounds and robots in their resting poses; if `tinted`, each robot has its own color."""
     server = quiet_server()
     try:
         stage = server.scene
@@ -301,7 +301,7 @@ def _viewer(
             add_ground(stage, node, size, ground)
         for number, (one, run, path) in enumerate(zip(traces, runs, paths, strict=True)):
             _add_robot(stage, one.robot, run, path, _COLORS[number % len(_COLORS)] if tinted else None)
-        # The page sets the distance, so that it fits the robots that are shown.
+        # The page later sets the distance to fit the robots that are shown.
         server.initial_camera.position = (0.85 * size, -1.15 * size, 0.5 * size)
         server.initial_camera.look_at = (0.0, 0.0, 0.15 * size)
         data = base64.b64encode(server.get_scene_serializer().serialize()).decode()
@@ -314,7 +314,7 @@ def _viewer(
 def _add_robot(
     stage: viser.SceneApi, robot: RobotDescription, run: dict[str, Any], path: Array, tint: tuple[int, int, int] | None
 ) -> None:
-    """Add a robot at rest, with its path over the ground and its arrows; its color is mixed with a tint, if given."""
+    """Add a robot at rest, its path on the ground and its arrows; its color is blended with `tint`, if given."""
     node, size = run["node"], run["size"]
     stage.add_frame(node, show_axes=False)
     stage.add_frame(f"{node}/base", show_axes=False)
@@ -333,4 +333,4 @@ def _add_robot(
     length = np.cumsum(np.linalg.norm(np.diff(path[:, :2], axis=0, prepend=path[:1, :2]), axis=1))
     corners = np.unique(np.floor(length / (0.05 * size)), return_index=True)[1]
     add_path(stage, f"{node}/path", path[corners], tint or GREY)
-    stage.add_frame(f"{node}/last", show_axes=False)  # the page waits for it
+    stage.add_frame(f"{node}/last", show_axes=False)  # the page waits for this frame

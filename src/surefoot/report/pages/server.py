@@ -1,8 +1,8 @@
 """Server of a page in the browser: the page, its messages and the 3D view, on one port.
 
-Messages are JSON over a web socket. The first tab drives; others watch until it leaves, and may stop a robot. Messages
-come from browsers and are hostile until `messages.read_message` has read them; what it refuses is answered with a line.
-The 3D view is forwarded from a port of this machine.
+Messages are JSON over a web socket. The first tab is in control; other tabs watch until it is closed, and may only stop
+the robot. Messages from browsers are untrusted until `messages.read_message` has parsed them; a rejected message is
+answered with one line. The 3D view is forwarded from a local port.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ from surefoot.report.pages.view import RobotView, bare_viewer
 LOCAL = ("localhost", "127.0.0.1", "[::1]")
 _MAX_MESSAGE_BYTES = 2000
 _MAX_MESSAGE_RATE = 400
-"""Messages that a tab or a view may send in a second; one that sends more is closed."""
+"""Maximum number of messages per second from a tab or a view, which is closed if it sends more."""
 _MAX_ERROR = 300
-"""Characters of the answer to a message that is refused."""
+"""Maximum length of the answer to a rejected message."""
 _MAX_TABS = 16
-"""Tabs at a time, and 3D views."""
+"""Maximum number of open tabs, and of 3D views."""
 _TYPES = {".html": "text/html; charset=utf-8", ".mp4": "video/mp4"}
-"""Types of files to download; others are `application/octet-stream`."""
+"""Content types of downloads, by suffix; other files are `application/octet-stream`."""
 
 
 def machine_addresses(host: str) -> list[str]:
-    """Return the addresses by which others reach a server that listens at `host`: all of this machine's for 0.0.0.0.
+    """Return the addresses at which other machines reach a server on `host`; for 0.0.0.0 all addresses of this machine.
 
-    Loopback is not among them, unless there is nothing else. No packet is sent.
+    Loopback is included only if there is no other address. No packet is sent.
     """
     if host not in ("0.0.0.0", "::", ""):
         return [host]
     addresses: list[str] = []
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.connect(("192.0.2.1", 9))  # an address for documentation: the route to it names the interface
+        probe.connect(("192.0.2.1", 9))  # a documentation address: the route to it selects the interface
         addresses.append(probe.getsockname()[0])
     with contextlib.suppress(OSError):
         addresses += [str(entry[4][0]) for entry in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
@@ -61,13 +61,13 @@ def machine_addresses(host: str) -> list[str]:
 
 
 class _Rate:
-    """Count of the messages of a connection in the present second."""
+    """Counter of a connection's messages per second."""
 
     def __init__(self) -> None:
         self._begin, self._count = time.monotonic(), 0
 
     def is_exceeded(self) -> bool:
-        """Count a message; return whether there are too many."""
+        """Count a message; return whether the limit is exceeded."""
         if time.monotonic() - self._begin > 1.0:
             self._begin, self._count = time.monotonic(), 0
         self._count += 1
@@ -75,18 +75,18 @@ class _Rate:
 
 
 class PageServer:
-    """Serves the page from a thread of its own.
+    """Server of a page, in its own thread.
 
     Args:
-        host: address to listen at; this machine only and without a token, if None.
-        port: TCP port; 0 for a free one.
-        view_port: port of the 3D view on this machine; None for a page with a scene of its own.
-        page: HTML; the drive page, if None.
-        in_notebook: let pages that this machine serves, such as notebooks, show the page in a frame.
+        host: address to listen at; by default the page is available only on this machine, without a token.
+        port: TCP port; 0 selects a free one.
+        view_port: local port of the 3D view, or None for a page that contains its scene.
+        page: HTML of the page; defaults to the drive page.
+        in_notebook: allow pages served by this machine, such as notebooks, to embed the page in a frame.
         messages: dataclass of the messages that tabs may send.
 
     Raises:
-        SurefootError: a port that can't be opened.
+        SurefootError: the port can't be opened.
     """
 
     def __init__(
@@ -105,10 +105,10 @@ class PageServer:
         self._frames = "http://localhost:* http://127.0.0.1:*" if in_notebook else ""
         self._messages = messages
         self.inbox: queue.Queue[Any] = queue.Queue(maxsize=1000)
-        """Messages of the tab that drives, and of others that stop a robot, of the class `messages`; None when the tab
-        that drives is closed."""
+        """Messages (of class `messages`) from the controlling tab, and stop messages from others; None after the
+        controlling tab was closed."""
         self.files: dict[str, Path] = {}
-        """Files that tabs may download, by name."""
+        """Files that can be downloaded, by name."""
         self._options: dict[str, Any] = {}
         self._tabs: list[ServerConnection] = []
         self._views = 0
@@ -124,7 +124,7 @@ class PageServer:
         names = ["localhost"] if host is None else machine_addresses(host)
         names = [f"[{name}]" if ":" in name else name for name in names]
         self.addresses = [f"http://{name}:{bound}{self._prefix}/" for name in names]
-        """URLs of the page: for a `host` that means all of the machine's addresses, one each."""
+        """URLs of the page; if `host` stands for all addresses of the machine, one URL for each."""
         self.address = self.addresses[0]
 
     @property
@@ -133,11 +133,11 @@ class PageServer:
         return len(self._tabs)
 
     def print_addresses(self) -> None:
-        """Print where the page is."""
-        print("\n".join(self.addresses) + "   (Ctrl-C ends)", flush=True)
+        """Print the URLs of the page."""
+        print("\n".join(self.addresses) + "   (Ctrl-C stops)", flush=True)
 
     def set_options(self, **options: Any) -> None:
-        """Send all tabs, also future ones, what there is to choose from."""
+        """Send the available options to all present and future tabs."""
         self._options = options
         self._call(self._send_options)
 
@@ -158,14 +158,14 @@ class PageServer:
         self._thread.join(timeout=5.0)
 
     def _call(self, function: Callable[[], object]) -> None:
-        """Call a function in the server's thread."""
-        with contextlib.suppress(RuntimeError):  # the loop has ended
+        """Schedule a function in the server's thread."""
+        with contextlib.suppress(RuntimeError):  # the event loop has ended
             self._loop.call_soon_threadsafe(function)
 
     async def _serve(self, host: str, port: int, ready: queue.Queue[int | OSError]) -> None:
         self._loop = asyncio.get_running_loop()
         logger = logging.getLogger("surefoot.page")
-        logger.setLevel(logging.CRITICAL)  # mistakes of browsers are not for the terminal
+        logger.setLevel(logging.CRITICAL)  # errors of browsers do not belong in the terminal
         try:
             async with serve(
                 self._handle,
@@ -185,9 +185,9 @@ class PageServer:
             ready.put(error)
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
-        """Refuse foreign hosts, origins and paths; return a page, or None for a web socket."""
+        """Reject foreign hosts, origins and paths; return a page, or None for a web socket."""
         host, path = request.headers.get("Host", ""), request.path.partition("?")[0]
-        # Under another site's name that resolves to this machine, that site's scripts would have this origin.
+        # DNS rebinding: under another site's name that resolves to this machine, its scripts would have this origin.
         if not self._token and host.rpartition(":")[0] not in LOCAL:
             return connection.respond(http.HTTPStatus.FORBIDDEN, "only localhost\n")
         inside = path.startswith(f"{self._prefix}/")
@@ -205,11 +205,11 @@ class PageServer:
         return Response(200, "OK", Headers([*kind, ("Content-Length", str(len(body))), *safe]), body)
 
     def _content(self, name: str | None) -> tuple[bytes, list[tuple[str, str]]]:
-        """Return what a path below the page holds, and headers that say what it is.
+        """Return the content at a path below the page, and its headers.
 
         Raises:
-            KeyError: nothing has that name.
-            OSError: a file that can't be read.
+            KeyError: there is no content with that name.
+            OSError: a file can't be read.
         """
         page = [("Content-Type", "text/html; charset=utf-8")]
         if name == "":
@@ -218,7 +218,7 @@ class PageServer:
             return bare_viewer().encode(), page
         file = self.files[(name or "").removeprefix("files/")]
         kind = _TYPES.get(file.suffix, "application/octet-stream")
-        # Downloaded, never opened as a page of this origin, where its script could drive.
+        # Files are only downloaded, never opened as a page of this origin, whose scripts could control the robot.
         headers = [
             ("Content-Disposition", f'attachment; filename="{file.name}"'),
             ("X-Content-Type-Options", "nosniff"),
@@ -239,7 +239,7 @@ class PageServer:
                 self._views -= 1
 
     async def _forward_view(self, connection: ServerConnection) -> None:
-        """Forward the view to a browser; messages of the browser to it are dropped."""
+        """Forward the 3D view to a browser, and drop the browser's messages to it."""
         protocols = [connection.subprotocol] if connection.subprotocol else None
         with contextlib.suppress(websockets.ConnectionClosed, OSError):
             url = f"ws://127.0.0.1:{self._view_port}"
@@ -285,10 +285,10 @@ class PageServer:
         try:
             message = read_message(self._messages, text)
             if self._tabs[0] is not connection and not message.is_from_anyone:
-                raise SurefootError("you watch; another browser drives")
+                raise SurefootError("you are watching; another browser is in control")
             self._put(message)
         except SurefootError as error:
-            # Not awaited: a tab that does not read would hold up the count of its messages.
+            # Not awaited, because a tab that does not read would block the counting of its messages.
             broadcast([connection], json.dumps({"error": str(error)[:_MAX_ERROR]}))
 
     def _put(self, message: TabMessage | None) -> None:
@@ -304,7 +304,7 @@ class PageServer:
 def robot_page(
     host: str | None, port: int, in_notebook: bool = False, messages: type[TabMessage] = DriveMessage
 ) -> Iterator[tuple[PageServer, RobotView]]:
-    """Serve a page with robots in 3D while entered; yield page and view. The arguments are those of `PageServer`."""
+    """Context manager that serves a page with robots in 3D; yield page and view. For the arguments see `PageServer`."""
     view = RobotView()
     try:
         with PageServer(host, port, view.port, in_notebook=in_notebook, messages=messages) as page:

@@ -1,6 +1,6 @@
-"""A robot in 3D in a browser, by viser's server: parts, ground and trail.
+"""3D view of robots in a browser with viser: links, ground and trail.
 
-All is in one frame that follows the robot over the ground, so that a browser's camera stays with it.
+The scene is in one frame that follows the robot over the ground, so that a browser's camera stays with the robot.
 """
 
 from __future__ import annotations
@@ -33,52 +33,52 @@ from surefoot.world.ground import Ground
 
 _TRAIL_POINTS = 300
 _FOLLOW = 0.4
-"""Share of the way to the robot that the frame moves with each picture."""
+"""Fraction of the distance to the robot by which the scene's frame moves in each update."""
 _GHOST_COLOR, _GHOST_OPACITY = (208, 102, 43), 0.4
 WEIGHT_ARROW = 0.8
-"""Length of an arrow as large as the robot's weight, over the robot's extent."""
+"""Length of the arrow of a force equal to the robot's weight, relative to the robot's extent."""
 PUSH_COLOR = (179, 38, 30)
 _PUSH_SCALE = 1.5
-"""Length of a push's arrow over that of another force: pushes are small beside the weight."""
+"""Ratio of the length of a push's arrow to another force's: pushes are small compared with the weight."""
 _ARROW_TIME = 0.3
-"""How long the arrow of a push is seen at least [s]: many pushes are over within three pictures."""
+"""Minimum time for which the arrow of a push is shown [s]: many pushes last only three frames."""
 _STYLE = """<style>
 .mantine-Paper-root, .mantine-Notifications-root { display: none !important; }
 canvas[data-engine] { background: linear-gradient(#96b8d8, #e8eef3 45%); }
 </style>"""
-"""Hides viser's own panel and notes, which would cover a small picture; a sky as in videos."""
+"""Style that hides viser's panel and notifications, which would cover a small view, and adds the sky of videos."""
 
 
 def bare_viewer() -> str:
-    """Return viser's page with the scene alone."""
+    """Return viser's page without its controls."""
     return (Path(viser.__file__).parent / "client" / "build" / "index.html").read_text("utf-8") + _STYLE
 
 
 class _GarbageFilter(logging.Filter):
-    """Replaces tracebacks about what viser's servers can't read by one line per process; browsers cause none."""
+    """Log filter that replaces tracebacks about invalid input to viser's servers by one line per process."""
 
     def __init__(self) -> None:
         super().__init__()
         self.ports: set[int] = set()
         """Ports of viser's servers."""
-        self._said = False
+        self._was_reported = False
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Return whether a record of websockets' servers is printed."""
+        """Return whether a log record of a web socket server is printed."""
         connection = getattr(record, "websocket", None)
         if not record.exc_info or connection is None or connection.local_address[1] not in self.ports:
             return True
-        first, self._said = not self._said, True
-        record.msg, record.args, record.exc_info = "surefoot: %s", (_GARBAGE,), None
+        first, self._was_reported = not self._was_reported, True
+        record.msg, record.args, record.exc_info = "surefoot: %s", (_INVALID_INPUT,), None
         return first
 
 
-_GARBAGE = "the port of the 3D view received what no browser sends; it is ignored, and so is any more of it"
+_INVALID_INPUT = "the port of the 3D view received invalid input, not from a browser; it is ignored, also in future"
 _garbage_filter = _GarbageFilter()
 
 
 def quiet_server() -> viser.ViserServer:
-    """Start viser's server on a free port of this machine, without its banner and tracebacks."""
+    """Start viser's server on a free local port, without its banner and tracebacks."""
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     _garbage_filter.ports.add(server.get_port())
@@ -87,16 +87,16 @@ def quiet_server() -> viser.ViserServer:
 
 
 def add_world(scene: viser.SceneApi) -> viser.FrameHandle:
-    """Add the frame of the world, with light; return the frame."""
+    """Add the world frame and lights; return the frame."""
     scene.set_up_direction("+z")
     world = scene.add_frame("/world", show_axes=False)
-    # Dark robots on a bright ground: light from all sides shows their shape.
+    # Light from all sides shows the shape of dark robots on a bright ground.
     scene.add_light_hemisphere("/light", sky_color=(255, 255, 255), ground_color=(190, 195, 200), intensity=1.6)
     return world
 
 
 def add_ground(scene: viser.SceneApi, name: str, size: float, ground: Ground) -> None:
-    """Add a ground for robots of a size [m]: flat, or a part that `ground_around` gives."""
+    """Add a ground for robots of a given size [m]: flat, or a part from `ground_around`."""
     if not ground.is_flat:
         scene.add_glb(name, ground_model(ground), cast_shadow=False, receive_shadow=0.4)
         return
@@ -115,7 +115,7 @@ def add_ground(scene: viser.SceneApi, name: str, size: float, ground: Ground) ->
 
 
 def add_path(scene: viser.SceneApi, name: str, points: Array, color: tuple[int, int, int]) -> None:
-    """Add a path through points (N, 3) [m]; nothing for fewer than two."""
+    """Add a path through points (N, 3) [m]; with fewer than two points nothing is added."""
     if len(points) > 1:
         scene.add_line_segments(name, np.stack([points[:-1], points[1:]], axis=1), color, thickness=0.008)
 
@@ -127,7 +127,7 @@ def add_robot(
     tint: Color | None = None,
     opacity: float | None = None,
 ) -> None:
-    """Add a robot's parts in the frames of their links, by name; their colors are mixed with a tint, if given."""
+    """Add a robot's meshes in the frames of their links (scene paths by link); `tint` is blended with their colors."""
     for number, (link, color, points, faces) in enumerate(link_meshes(appearance)):
         if tint is not None:
             red, green, blue = ((own + other) // 2 for own, other in zip(color, tint, strict=True))
@@ -142,16 +142,16 @@ class _DrawnRobot:
 
 
 class RobotView:
-    """The 3D view, on a port of this machine that pages forward."""
+    """3D view on a local port, which pages forward."""
 
     def __init__(self) -> None:
         self._server = quiet_server()
         self.port = self._server.get_port()
         self.frames = 0
-        """Number of pictures that were sent."""
+        """Number of updates sent."""
 
     def show(self, ground: Ground, robot: RobotDescription, ghost: RobotDescription | None = None) -> None:
-        """Show another robot on a ground, at the start of a new trail, and a transparent one beside it, if any."""
+        """Show a new robot on a ground, with a new trail, and optionally a transparent second robot (ghost)."""
         size, server = extent(robot), self._server
         self._trail: deque[Array] = deque(maxlen=_TRAIL_POINTS)
         self._at, self._size, self._base, self._yaw = np.zeros(3), size, np.zeros(3), 0.0
@@ -169,22 +169,22 @@ class RobotView:
             server.initial_camera.position = (0.85 * size, -1.15 * size, 0.5 * size)
             server.initial_camera.look_at = (0.0, 0.0, 0.2 * size)
 
-    def _add_robot(self, node: str, robot: RobotDescription, **look: Any) -> _DrawnRobot:
+    def _add_robot(self, node: str, robot: RobotDescription, **style: Any) -> _DrawnRobot:
         appearance = robot.appearance()
         frames = {part.link: f"{node}/{part.link}" for part in appearance.parts}
         links = {link: self._server.scene.add_frame(name, show_axes=False) for link, name in frames.items()}
-        add_robot(self._server.scene, appearance, frames, **look)
+        add_robot(self._server.scene, appearance, frames, **style)
         return _DrawnRobot(robot, links)
 
     def move(self, *states: tuple[ArrayLike, ArrayLike, ArrayLike]) -> None:
-        """Show the robot, and the ghost, if there is one.
+        """Move the robot, and the ghost if there is one.
 
-        Each state is a base position (3,) [m], orientation (4,) w x y z and motor angles (M,) [rad].
+        Each state consists of base position (3,) [m], orientation (4,) w x y z and motor angles (M,) [rad].
         """
         with contextlib.suppress(SurefootError), self._server.atomic():  # a diverged state is not drawn
             placed = [poses(one.robot, *state) for one, state in zip(self._robots, states, strict=True)]
             at, ground = np.asarray(states[0][0], float), self._ground
-            under = np.array([*at[:2], ground.level(at[:2])])
+            under = np.array([*at[:2], ground.smooth_height(at[:2])])
             far = np.linalg.norm((under - self._at)[:2]) > 2 * self._size
             self._at = under if far else self._at + _FOLLOW * (under - self._at)
             self._world.position = -self._at
@@ -207,7 +207,7 @@ class RobotView:
         self.frames += 1
 
     def show_push(self, force_world: Array) -> None:
-        """Show a force (3,) [N] on the base as an arrow that ends at the body; zero ends it, when it was seen."""
+        """Show a force (3,) [N] on the base as an arrow that ends at the body; zero removes it after a minimum time."""
         size, now = float(np.linalg.norm(force_world)), time.monotonic()
         if size == 0.0:
             if self._arrow is not None and now > self._arrow_until:
@@ -217,7 +217,7 @@ class RobotView:
         if self._arrow is None or not np.array_equal(force_world, self._push):
             robot, self._push = self._robots[0].robot, force_world.copy()
             along, length = force_world / size, _PUSH_SCALE * WEIGHT_ARROW * self._size * size / robot.weight
-            # Where the arrow meets the box around the body, which reaches as far as the legs' mounts.
+            # The arrow ends at a box around the body, which extends to the legs' mounts.
             half = np.array([robot.body_length / 2, np.abs(robot.leg_mounts[:, 1]).max()])
             heading = in_heading_frame(along[None], np.array([self._yaw]))[0, :2]
             tip = -along * np.min(half / np.abs(heading).clip(1e-6))

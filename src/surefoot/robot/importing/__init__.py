@@ -1,1 +1,1 @@
-"""Import of quadrupeds: `reader` reads any URDF or MJCF with MuJoCo's parsers, `writer` writes a robot's folder."""
+"""Importer of quadrupeds: `reader` parses any URDF or MJCF with MuJoCo, `writer` writes a robot's folder."""

@@ -1,4 +1,4 @@
-"""Reader of the meshes that a robot's file names, and their decimation."""
+"""Reader for mesh files, and decimation of meshes."""
 
 from __future__ import annotations
 
@@ -24,37 +24,37 @@ from surefoot.files import check_readable
 from surefoot.robot.importing.named_files import MAX_MESH_BYTES
 
 SUFFIXES = (".stl", ".obj", ".dae")
-"""Kinds of mesh that are read."""
+"""Supported mesh formats."""
 _MAX_COORDINATE = 1e6
 _MAX_TRIANGLES = 10_000_000
 _MAX_INSTANCES = 2000
-"""Placed copies of geometries in a COLLADA file."""
+"""Maximum number of geometry instances in a COLLADA file."""
 _MAX_NODES = 20_000
-"""Nodes of a scene in a COLLADA file, each as often as it is placed."""
+"""Maximum number of scene nodes in a COLLADA file, including all instances."""
 _MIN_TRIANGLES = 24
-"""What decimation leaves of the smallest parts."""
-_TOLERANCE = 0.01
-"""How far decimation may move a surface, in sizes of the largest one."""
-_FEW_TRIANGLES = 500
-"""Triangles that are not worth a search for hidden ones."""
-_SAMPLES, _PIXELS = 40_000, 64
-"""Points on a surface, and pixels along it, by which hidden triangles are recognized."""
+"""Minimum number of triangles of a decimated surface."""
+_MAX_DEVIATION = 0.01
+"""Maximum deviation of a decimated surface relative to the size of the largest surface."""
+_FEW_EXTRA_TRIANGLES = 500
+"""Excess of triangles up to which hidden triangles are not searched."""
+_SURFACE_SAMPLES, _PIXELS = 40_000, 64
+"""Number of sampled points on a surface, and image width in pixels, for the detection of hidden triangles."""
 _CELLS = 1 << 20
-"""Cells along a mesh in which vertices count as one."""
+"""Number of grid cells along a mesh within which vertices are merged."""
 Color = tuple[float, float, float]
 """Red, green and blue, 0 to 1."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Triangles of one colour."""
+    """A triangle mesh of one colour."""
 
     vertices: Array
-    """Places (V, 3) [m]."""
+    """Positions (V, 3) [m]."""
     faces: NDArray[np.integer[Any]]
     """Indices (F, 3) of vertices, counter-clockwise seen from outside."""
     color: Color | None = None
-    """None: the mesh does not say."""
+    """Colour, or None if the mesh has none."""
 
     @property
     def area(self) -> float:
@@ -63,15 +63,15 @@ class Surface:
         return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
     def place(self, frame: Array) -> Surface:
-        """Return the surface in a frame (4, 4), which may scale and mirror; outside stays outside."""
+        """Transform the surface by a matrix (4, 4), which may scale and mirror; faces keep their outside."""
         faces = self.faces if np.linalg.det(frame[:3, :3]) > 0 else self.faces[:, ::-1]
         return Surface(self.vertices @ frame[:3, :3].T + frame[:3, 3], faces, self.color)
 
 
 class _Folder(trimesh.resolvers.Resolver):
-    """What a mesh names, such as materials and textures: regular files of limited size.
+    """Resolver of files that a mesh refers to, such as materials and textures: regular files of limited size.
 
-    They may lie in other folders: meshes of packages name `../textures/...`.
+    They may be in other folders, because meshes in ROS packages refer to `../textures/...`.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -93,30 +93,30 @@ class _Folder(trimesh.resolvers.Resolver):
 
 
 def read_mesh(path: Path) -> list[Surface]:
-    """Read the surfaces of an STL, OBJ or COLLADA file, one a colour.
+    """Read an STL, OBJ or COLLADA file as one surface per colour.
 
-    Units and transforms of nodes in a COLLADA file are applied. Its `up_axis` is not: viewers of URDFs ignore it, and
-    files are made so.
+    Units and node transforms of a COLLADA file are applied. Its `up_axis` is ignored as in viewers of URDFs, for which
+    files are made.
 
     Raises:
-        SurefootError: it can't be read, is too large, of another kind, or damaged.
+        SurefootError: the file can't be read, is too large or damaged, or has another format.
     """
     kind = path.suffix.lower()
     if kind not in SUFFIXES:
-        raise SurefootError(f"{path.name} is no {', '.join(SUFFIXES)} file")
+        raise SurefootError(f"{path.name} is not a file of type {', '.join(SUFFIXES)}")
     with describe_os_errors(path.name):
         check_readable(path, MAX_MESH_BYTES)
         content = path.read_bytes()
     if kind == ".dae" and b"<!ENTITY" in content:
         raise SurefootError(f"{path.name} declares XML entities")
     try:
-        with np.errstate(all="ignore"):  # what is not finite is refused
+        with np.errstate(all="ignore"):  # numbers that are not finite are rejected later
             if kind == ".dae":
                 _check_instances(content)
             surfaces = _read_surfaces(content, kind, path.parent)
             if not surfaces and kind == ".dae":
                 surfaces = _read_surfaces(_drop_broken_materials(content), kind, path.parent)
-    except Exception as error:  # What parsers raise on a damaged file is any kind of error.
+    except Exception as error:  # Parsers raise any kind of error on a damaged file.
         message = " ".join(str(error).split()) or type(error).__name__
         raise SurefootError(f"{path.name} can't be read as {kind[1:].upper()}: {message}") from error
     if not surfaces:
@@ -125,7 +125,7 @@ def read_mesh(path: Path) -> list[Surface]:
 
 
 def _check_instances(content: bytes) -> None:
-    """Refuse a COLLADA file whose nodes, which may hold each other many times, come to too many, or geometries do."""
+    """Reject a COLLADA file with too many nodes or geometries, counting all instances of nested nodes."""
     root = ElementTree.fromstring(content)
     nodes = [element for element in root.iter() if element.tag.endswith(("}node", "}visual_scene"))]
     by_url: dict[str, list[ElementTree.Element]] = {}
@@ -134,7 +134,7 @@ def _check_instances(content: bytes) -> None:
 
     @functools.cache
     def count(node: ElementTree.Element) -> tuple[int, int]:
-        """Return how many nodes there are from a node on, and how many geometries they place."""
+        """Return the number of nodes below and including a node, and the number of their geometries."""
         children = [*node.findall("{*}node")]
         for item in node.findall("{*}instance_node"):
             children += by_url.get(item.get("url", ""), [])
@@ -145,13 +145,13 @@ def _check_instances(content: bytes) -> None:
     most_nodes = max((count(node)[0] for node in nodes), default=0)
     most = max((count(node)[1] for node in nodes if node.tag.endswith("}node")), default=0)
     if most_nodes > _MAX_NODES:
-        raise ValueError(f"its nodes, which hold each other, come to {most_nodes}; at most {_MAX_NODES} are read")
+        raise ValueError(f"its nested nodes amount to {most_nodes}; at most {_MAX_NODES} are read")
     if most > _MAX_INSTANCES:
-        raise ValueError(f"a node places {most} geometries; at most {_MAX_INSTANCES} are read")
+        raise ValueError(f"a node has {most} geometries; at most {_MAX_INSTANCES} are read")
 
 
 def _drop_broken_materials(content: bytes) -> bytes:
-    """Return a COLLADA file without what can't be read of its materials: pycollada drops the geometry with it."""
+    """Remove references to unreadable materials from a COLLADA file, for which pycollada would drop the geometry."""
     document = collada.Collada(io.BytesIO(content), ignore=[collada.common.DaeError])
     targets = {f"#{material.id}" for material in document.materials}
     root = ElementTree.fromstring(content)
@@ -163,7 +163,7 @@ def _drop_broken_materials(content: bytes) -> bytes:
 
 
 def _read_surfaces(content: bytes, kind: str, folder: Path) -> list[Surface]:
-    """Return the surfaces of a file's content, merged by colour."""
+    """Parse a mesh file and merge its surfaces by colour."""
     scene = trimesh.load_scene(io.BytesIO(content), file_type=kind[1:], resolver=_Folder(folder), process=False)
     by_color: dict[Color | None, list[Surface]] = {}
     triangles = 0
@@ -174,20 +174,20 @@ def _read_surfaces(content: bytes, kind: str, folder: Path) -> list[Surface]:
             continue
         vertices, faces = np.asarray(geometry.vertices, float), np.asarray(geometry.faces, np.int64)
         if faces.min() < 0 or faces.max() >= len(vertices):
-            raise ValueError("it has triangles of vertices that it does not have")
+            raise ValueError("it has triangles with vertices that do not exist")
         if (triangles := triangles + len(faces)) > _MAX_TRIANGLES:
             raise ValueError(f"it has more than {_MAX_TRIANGLES} triangles")
         unit = str(geometry.metadata.get("units", "")).removesuffix("* meters").strip()
         frame = np.diag([*[float(unit)] * 3, 1.0]) @ frame if unit and unit != "meters" else np.array(frame)
         surface = Surface(vertices, faces).place(frame)
         if not (np.abs(surface.vertices) < _MAX_COORDINATE).all():
-            raise ValueError(f"it has coordinates that are no numbers, or not within {_MAX_COORDINATE:g} m")
+            raise ValueError(f"it has coordinates that are not finite, or not within {_MAX_COORDINATE:g} m")
         by_color.setdefault(_mean_color(geometry.visual), []).append(surface)
     return [merge_surfaces(parts, color) for color, parts in by_color.items()]
 
 
 def _mean_color(visual: Any) -> Color | None:
-    """Return the mean colour of a mesh's material, texture or vertices; None without any."""
+    """Return the mean colour of a mesh's material, texture or vertices, or None."""
     if visual.kind is None:
         return None
     if visual.kind == "texture":
@@ -208,7 +208,7 @@ def _mean_color(visual: Any) -> Color | None:
 
 
 def merge_surfaces(surfaces: Sequence[Surface], color: Color | None = None) -> Surface:
-    """Return surfaces as one of this colour."""
+    """Merge surfaces into one of the given colour."""
     starts = np.cumsum([0] + [len(surface.vertices) for surface in surfaces])
     return Surface(
         np.concatenate([surface.vertices for surface in surfaces]),
@@ -218,16 +218,16 @@ def merge_surfaces(surfaces: Sequence[Surface], color: Color | None = None) -> S
 
 
 def decimate(surfaces: Sequence[Surface], scales: Sequence[float], uses: Sequence[int], total: int) -> list[Surface]:
-    """Return surfaces of about `total` triangles, where each counts as often as it is used.
+    """Decimate surfaces to about `total` triangles, counting each surface as often as it is used.
 
-    A surface, scaled, keeps triangles in proportion to the square root of its area, if it has that many; more where it
-    would change by more than a share of the size of the largest one.
+    Each scaled surface gets triangles in proportion to the square root of its area, and more if it would otherwise
+    deviate by more than `_MAX_DEVIATION`.
     """
     surfaces = [_weld(surface, _CELLS) for surface in surfaces]
     available = np.array([len(surface.faces) for surface in surfaces])
     sizes = np.sqrt([surface.area for surface in surfaces]) * scales
     extents = [float(np.ptp(surface.vertices, axis=0).max()) if len(surface.faces) else 0.0 for surface in surfaces]
-    tolerance = _TOLERANCE * float(np.max(np.multiply(extents, scales), initial=0.0))
+    tolerance = _MAX_DEVIATION * float(np.max(np.multiply(extents, scales), initial=0.0))
 
     def counts(density: float) -> Array:
         return np.minimum(np.maximum(density * sizes, _MIN_TRIANGLES), available)
@@ -243,13 +243,13 @@ def decimate(surfaces: Sequence[Surface], scales: Sequence[float], uses: Sequenc
 
 
 def _reduce(surface: Surface, count: int, tolerance: float) -> Surface:
-    """Return a surface of `count` triangles, or more where that would move it by more than a tolerance [m]."""
+    """Decimate a surface to `count` triangles, or more if it would otherwise deviate by over a tolerance [m]."""
     if len(surface.faces) <= count:
         return surface
-    # Slivers as CAD writes them can't be collapsed, but welded.
+    # Slivers, which CAD programs write, can't be collapsed, but their vertices can be merged.
     welded = _weld(surface, 512)
     reduced = _simplify(welded, count, tolerance)
-    if len(reduced.faces) > max(1.5 * count, count + _FEW_TRIANGLES):
+    if len(reduced.faces) > max(1.5 * count, count + _FEW_EXTRA_TRIANGLES):
         reduced = _simplify(_drop_hidden(welded), count, tolerance)
     cells = 256
     while len(reduced.faces) > 8 * count and cells:
@@ -258,8 +258,8 @@ def _reduce(surface: Surface, count: int, tolerance: float) -> Surface:
 
 
 def _simplify(surface: Surface, count: int, tolerance: float) -> Surface:
-    """Collapse edges down to `count` triangles, as long as the surface moves by less than a tolerance [m]."""
-    # The library raises its threshold of squared distances up to 1e-9 (100 + 3)^agg, after 100 rounds.
+    """Collapse edges down to `count` triangles while the deviation stays below a tolerance [m]."""
+    # The library raises its threshold of squared distances to 1e-9 (100 + 3)^agg after 100 rounds.
     scale = math.sqrt(1e-9 * 103**3) / max(tolerance, 1e-9)
     vertices, faces = fast_simplification.simplify(
         scale * surface.vertices, surface.faces, target_count=min(count, len(surface.faces)), agg=3
@@ -268,15 +268,15 @@ def _simplify(surface: Surface, count: int, tolerance: float) -> Surface:
 
 
 def _drop_hidden(surface: Surface) -> Surface:
-    """Return the triangles that are seen from one of 14 directions around the surface."""
+    """Remove triangles that are not visible from any of 14 directions around the surface."""
     a, b, c = np.moveaxis(surface.vertices[surface.faces], 1, 0)
     areas = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-    owner = np.repeat(np.arange(len(areas)), np.ceil(_SAMPLES * areas / areas.sum()).astype(np.int64).clip(1))
-    share = np.random.default_rng(0).random((len(owner), 2))
-    share = np.where(share.sum(axis=1, keepdims=True) > 1, 1 - share, share)
-    points = a[owner] + share[:, :1] * (b - a)[owner] + share[:, 1:] * (c - a)[owner]
+    owner = np.repeat(np.arange(len(areas)), np.ceil(_SURFACE_SAMPLES * areas / areas.sum()).astype(np.int64).clip(1))
+    weight = np.random.default_rng(0).random((len(owner), 2))
+    weight = np.where(weight.sum(axis=1, keepdims=True) > 1, 1 - weight, weight)
+    points = a[owner] + weight[:, :1] * (b - a)[owner] + weight[:, 1:] * (c - a)[owner]
     cell = float(np.ptp(surface.vertices, axis=0).max()) / _PIXELS
-    seen = np.zeros(len(areas), bool)
+    visible = np.zeros(len(areas), bool)
     for direction in itertools.product((-1.0, 0.0, 1.0), repeat=3):
         if np.count_nonzero(direction) in (0, 2):
             continue
@@ -288,14 +288,14 @@ def _drop_hidden(surface: Surface) -> Surface:
         index, height = column * (int(row.max()) + 1) + row, points @ axis
         top = np.full(int(index.max()) + 1, -np.inf)
         np.maximum.at(top, index, height)
-        seen[owner[height >= top[index] - cell]] = True
-    return _weld(Surface(surface.vertices, surface.faces[seen], surface.color), _CELLS)
+        visible[owner[height >= top[index] - cell]] = True
+    return _weld(Surface(surface.vertices, surface.faces[visible], surface.color), _CELLS)
 
 
 def _weld(surface: Surface, cells: int) -> Surface:
-    """Merge vertices within cells of a fraction of the surface's size; drop triangles without area and vertices.
+    """Merge vertices within cells of a grid along the surface; drop degenerate triangles and unused vertices.
 
-    Nothing may be left.
+    The result may be empty.
     """
     if not len(surface.faces):
         return surface

@@ -1,4 +1,4 @@
-"""Files that a URDF or MJCF names: found, and checked before a parser opens them."""
+"""Search for the files that a URDF or MJCF refers to, and their checks before a parser opens them."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from pathlib import Path
 
 from surefoot.errors import SurefootError, describe_os_errors
 from surefoot.files import CONFIGURATION_BYTES, check_readable
-from surefoot.robot.importing.copies import check_copies
+from surefoot.robot.importing.copy_limits import check_copies
 from surefoot.robot.urdf_file import read_xml
 
 MAX_MESH_BYTES = 100_000_000
-"""Size of the largest mesh, or file that a mesh names, that is read."""
+"""Maximum size of a mesh, and of a file that a mesh refers to."""
 _MAX_NESTED = 20
-"""Files that may include or attach each other in a row."""
+"""Maximum nesting of files that include or attach each other."""
 _MAX_PLACES = 10_000
-"""Places where the files that a description names are looked for."""
+"""Maximum number of paths that are tried for all files of a description together."""
 _PARTS = ("include", "model")
-"""Elements of an MJCF that name another one."""
+"""Elements of an MJCF that refer to another MJCF."""
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
-"""Attributes of a compiler that name folders of files."""
+"""Attributes of <compiler> that name folders of assets."""
 
 
 def find_mesh(name: str, path: Path) -> Path:
-    """Return the file of a URDF's mesh, beside the description or in a folder above it, as packages have it."""
+    """Find a URDF's mesh file next to the description or relative to a parent folder, as in ROS packages."""
     inside = Path(name.split("://", 1)[-1])
-    # package://NAME/rest: the package's folder may have another name.
+    # For package://NAME/PATH, also search PATH, because the package's folder may have another name.
     parts = (inside, Path(*inside.parts[1:])) if len(inside.parts) > 1 else (inside,)
     for folder in path.resolve().parents[:6]:
         for part in parts:
             file = folder / part
             try:
                 size = file.stat().st_size if file.is_file() else None
-            except OSError:  # no name of a file
+            except OSError:  # an invalid file name
                 continue
             if size is None:
                 continue
@@ -41,19 +41,19 @@ def find_mesh(name: str, path: Path) -> Path:
                 limit = f"at most {MAX_MESH_BYTES // 10**6} MB are read"
                 raise SurefootError(f"{path}: mesh '{name}' has {size // 10**6} MB; {limit}")
             return file
-    raise SurefootError(f"{path}: mesh '{name}' is not there; put it where the file names it")
+    raise SurefootError(f"{path}: mesh '{name}' does not exist; put it where the file names it")
 
 
 def check_named_files(root: ElementTree.Element, path: Path) -> int:
-    """Refuse an MJCF that names pipes, devices or files that are too large, or asks for too many copies of something.
+    """Reject an MJCF that refers to pipes, devices or too large files, or requests too many copies of an element.
 
-    Files that it includes and models that it attaches count towards the limit of a description's size.
+    Included files and attached models count towards the size limit of a description.
 
     Returns:
-        size of the data that it names [byte].
+        Total size of the assets that it refers to [byte].
 
     Raises:
-        SurefootError: one of these, or models that attach each other in a circle.
+        SurefootError: one of these problems, or files that include each other in a cycle.
     """
     search = _Search(path)
     search.add(root, path, ())
@@ -61,7 +61,7 @@ def check_named_files(root: ElementTree.Element, path: Path) -> int:
 
 
 class _Search:
-    """Search for the files that an MJCF names, which sums up their sizes."""
+    """Recursive search for the files that an MJCF refers to, which adds up their sizes."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -69,14 +69,14 @@ class _Search:
         self.parts: set[Path] = set()
         """Files that are included or attached."""
         self.folders: set[Path] = set()
-        """Folders of these and of their compilers: MuJoCo looks for data in some of them, wherever it is named."""
+        """Folders of these files, and folders that their <compiler> names, in which MuJoCo searches for assets."""
         self.data: set[str] = set()
-        """Names of other files."""
-        self.looked = 0
-        """Places where a file was looked for."""
+        """Names of all other files, the assets."""
+        self.tried = 0
+        """Number of paths that were tried."""
 
     def add(self, root: ElementTree.Element, file: Path, above: tuple[Path, ...]) -> None:
-        """Take what a file names, and what the files name that it includes; `above` has those that lead to it."""
+        """Collect the references of a file and, recursively, of its included files; `above` are the including files."""
         above = (*above, file.resolve())
         if len(above) > _MAX_NESTED:
             raise SurefootError(f"{self.path}: over {_MAX_NESTED} files include or attach each other in a row")
@@ -91,50 +91,50 @@ class _Search:
                 self.data |= names
                 continue
             for name in names:
-                for found in self._find(name, folders):
-                    self._add_part(found, name, above)
+                for part in self._find(name, folders):
+                    self._add_part(part, name, above)
 
     def check_data(self) -> int:
-        """Check the files that are no descriptions; return their size [byte]."""
+        """Check all assets; return their total size [byte]."""
         sizes: dict[Path, int] = {}
         for name in self.data:
-            for found in self._find(name, self.folders):
+            for asset in self._find(name, self.folders):
                 with describe_os_errors(f"{self.path}: the file '{name}' that it names"):
-                    check_readable(found, MAX_MESH_BYTES)
-                if not (size := found.stat().st_size):
-                    # Files in /proc report this; some never end.
+                    check_readable(asset, MAX_MESH_BYTES)
+                if not (size := asset.stat().st_size):
+                    # Files in /proc report size 0, and some of them never end.
                     raise SurefootError(f"{self.path}: the file '{name}' that it names is empty")
-                sizes[found] = size
+                sizes[asset] = size
         return sum(sizes.values())
 
     def _find(self, name: str, folders: set[Path]) -> Iterator[Path]:
-        """Yield the files that a name may mean: MuJoCo looks beside a model, or in a folder that a compiler names."""
-        words = {name.strip(), Path(name.replace("\\", "/")).name}  # the last one: strippath
-        self.looked += len(words) * len(folders)
-        if self.looked > _MAX_PLACES:
+        """Yield the existing files to which a name may refer, next to a model or in a folder of its <compiler>."""
+        words = {name.strip(), Path(name.replace("\\", "/")).name}  # the second is for the option strippath
+        self.tried += len(words) * len(folders)
+        if self.tried > _MAX_PLACES:
             raise SurefootError(
                 f"{self.path}: names files that may lie in over {_MAX_PLACES} places; name fewer files and folders"
             )
         for path in {folder / word for folder in folders for word in words}:
             try:
-                found = path.resolve()
-                if found.exists() and not found.is_dir():
-                    yield found
-            except (OSError, ValueError, RuntimeError):  # no name of a file, or a circle of links
+                file = path.resolve()
+                if file.exists() and not file.is_dir():
+                    yield file
+            except (OSError, ValueError, RuntimeError):  # an invalid file name, or a cycle of links
                 continue
 
-    def _add_part(self, found: Path, name: str, above: tuple[Path, ...]) -> None:
-        if found in above:
+    def _add_part(self, part: Path, name: str, above: tuple[Path, ...]) -> None:
+        if part in above:
             raise SurefootError(
-                f"{self.path}: the file '{name}' includes or attaches itself; a model can't hold itself"
+                f"{self.path}: the file '{name}' includes or attaches itself; a model can't contain itself"
             )
-        if found in self.parts:
+        if part in self.parts:
             return
         with describe_os_errors(f"{self.path}: the file '{name}' that it names"):
-            check_readable(found, CONFIGURATION_BYTES)
-            self.left -= found.stat().st_size
+            check_readable(part, CONFIGURATION_BYTES)
+            self.left -= part.stat().st_size
         if self.left < 0:
-            limit = f"{CONFIGURATION_BYTES >> 10} KiB in all are read"
+            limit = f"{CONFIGURATION_BYTES >> 10} KiB in total are read"
             raise SurefootError(f"{self.path}: includes and attaches files that are too large: at most {limit}")
-        self.add(read_xml(found), found, above)
-        self.parts.add(found)
+        self.add(read_xml(part), part, above)
+        self.parts.add(part)

@@ -1,6 +1,6 @@
 """Reader of any quadruped's URDF or MJCF with MuJoCo's parsers.
 
-It sets no limits: what a stranger's file asks for is done. `confined.py` runs it in a process of its own.
+It does not limit time or memory; for untrusted files, `isolated_reader.py` runs it in a separate process.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ from surefoot.native_output import mujoco_errors
 from surefoot.robot.appearance import MAX_EXTENT, MAX_PARTS, MAX_TRIANGLES, VisualPart
 from surefoot.robot.importing.extra_hinges import describe_play, describe_springs, describe_wheels, find_play, is_wheel
 from surefoot.robot.importing.feet import Foot, find_foot, pair_feet
+from surefoot.robot.importing.import_errors import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.inertias import drop_frame_masses, implausible_inertias, prepare_inertias
 from surefoot.robot.importing.meshes import Color, Surface, merge_surfaces
 from surefoot.robot.importing.named_files import find_mesh
 from surefoot.robot.importing.names import robot_name
-from surefoot.robot.importing.refusals import QUADRUPED, check_kind, check_legs, check_suffix, explain_mujoco
 from surefoot.robot.importing.resting_poses import Pose, order_poses, srdf_poses
 from surefoot.robot.importing.servo import motor_order, read_servos
 from surefoot.robot.importing.shapes import BodyShapes
@@ -46,28 +46,29 @@ from surefoot.robot.rigid_body import RigidBody, fuse
 from surefoot.robot.urdf_file import attribute, read_xml
 
 FORWARD = {"+x": 0.0, "-x": np.pi, "+y": -np.pi / 2, "-y": np.pi / 2}
-"""Directions in the file's frame that may be forward, and the turn about z that brings them to +x [rad]."""
-_FRONT = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IGNORECASE)
+"""Possible forward directions in the file's frame, and the rotation about z to +x [rad]."""
+_FRONT_NAMES = re.compile(r"front|fore|(?:^|[^a-z])(?:f[lr]|[lr]f)(?:[^a-z]|$)", re.IGNORECASE)
 _AXIS_TOLERANCE = 1e-3
-"""How far an axis may be from the base's, as a cosine: files write pi/2 with five digits."""
-_CLEARLY = 0.9
-"""Cosine of an axis's angle to x or y from which it is along that."""
+"""Tolerance of the cosine between a joint axis and an axis of the base; files round pi/2 to five digits."""
+_MIN_AXIS_COSINE = 0.9
+"""Minimum cosine between a joint axis and x or y for a hip that swings before it abducts."""
 _MAX_CHAIN = 100
-"""Joints in a row that are looked at."""
+"""Maximum number of joints in a chain."""
 _MESH_SUFFIXES = (".stl", ".obj", ".msh")
-"""Kinds of mesh that MuJoCo reads."""
+"""Mesh formats that MuJoCo reads."""
 
 
 def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> ImportedRobot:
-    """Read a quadruped from a URDF or MJCF, in this process.
+    """Read a quadruped from a URDF or MJCF in this process.
 
     Args:
         path: the file.
-        forward: direction in the file's frame that is forward, out of `FORWARD`; None: by the legs' names and axes.
-        meshes: whether to read a URDF's meshes, and what is drawn; without them the base is a box with its inertia.
+        forward: forward direction in the file's frame, one of `FORWARD`; by default it is guessed from leg names and
+            joint axes.
+        meshes: whether to read meshes and visuals; without meshes, the base is a box with its inertia.
 
     Raises:
-        SurefootError: a file that can't be read, or a robot that is not a quadruped with legs of two or three hinges.
+        SurefootError: the file can't be read, or the robot is not a quadruped with legs of two or three hinges.
     """
     check_suffix(path)
     root = read_xml(path)
@@ -87,7 +88,8 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
             spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
         spec.compiler.discardvisual = True
         if spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
-            spec.compiler.inertiafromgeom = mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO  # keeps visual shapes' masses
+            # Keep the masses of visual geoms, which `discardvisual` removes.
+            spec.compiler.inertiafromgeom = mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
         spec.compiler.fusestatic = False
         drop_frame_masses(spec, notes)
         if not meshes and root.tag == "mujoco":
@@ -102,7 +104,7 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
 
 
 def _drop_files(spec: mujoco.MjSpec) -> None:
-    """Leave out what an MJCF reads from other files: meshes with their shapes, and textures."""
+    """Remove meshes with their geoms, materials and textures, which an MJCF reads from other files."""
     for geom in list(spec.geoms):
         geom.material = ""
         if geom.meshname:
@@ -112,7 +114,7 @@ def _drop_files(spec: mujoco.MjSpec) -> None:
 
 
 def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
-    """Yield the poses of an MJCF's keyframes, `qpos` by name."""
+    """Yield source and joint angles of each keyframe; `keys` has `qpos` by keyframe name."""
     hinges = np.flatnonzero(model.jnt_type == mjtJoint.mjJNT_HINGE)
     for name, qpos in keys.items():
         if len(qpos) == model.nq:
@@ -120,7 +122,11 @@ def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iter
 
 
 def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: list[str]) -> dict[str, float]:
-    """Make a URDF ready for MuJoCo: no visuals, meshes by absolute path; return the joints' speed limits."""
+    """Prepare a URDF for MuJoCo: remove visuals, use absolute mesh paths, fix inertias and units.
+
+    Returns:
+        Speed limits by joint name [rad/s].
+    """
     unreadable: set[str] = set()
     problems: dict[str, None] = {}
     for link in root.findall("link"):
@@ -156,7 +162,7 @@ def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: li
 
 
 class _Reader:
-    """Reader of a compiled model, at zero angles and with the base at the origin."""
+    """Converter of a compiled model to an `ImportedRobot`, at zero angles and with the base at the origin."""
 
     def __init__(
         self,
@@ -176,7 +182,7 @@ class _Reader:
         if self.play:
             notes.append(describe_play(model, self.play))
         self.hinge = np.array([next(iter(self._joints(body)), -1) for body in range(model.nbody)])
-        """The first joint of each body that is no play; -1: none."""
+        """First joint of each body, ignoring gear play; -1 if it has none."""
         self.group = self._groups()
 
     def _error(self, text: str) -> SurefootError:
@@ -186,22 +192,22 @@ class _Reader:
         return [str(self.model.joint(int(self.hinge[body])).name) for body in bodies]
 
     def _joints(self, body: int) -> list[int]:
-        """Return the joints of a body that are no play."""
+        """Return the joints of a body, ignoring gear play."""
         return [int(joint) for joint in np.flatnonzero(self.model.jnt_bodyid == body) if joint not in self.play]
 
     def _groups(self) -> NDArray[np.int64]:
-        """Return for each body the body whose joint moves it; what has no joint is fixed to its parent."""
+        """Return for each body the body whose joint moves it; bodies without joints are fixed to their parents."""
         model = self.model
         group = np.zeros(model.nbody, np.int64)
         for body in range(1, model.nbody):
             kinds = self._joints(body)
-            # Without a free joint, bodies on the world may be the base.
+            # Without a free joint, a body that is attached to the world may be the base.
             top = not kinds and model.body_parentid[body] == 0 and mjtJoint.mjJNT_FREE not in model.jnt_type
             group[body] = body if kinds or top else group[model.body_parentid[body]]
         return group
 
     def read(self, forward: str | None, visuals: Sequence[Visual], incomplete: Sequence[str]) -> ImportedRobot:
-        """Return the robot, of whose links `incomplete` not all is drawn; see `read_robot`."""
+        """Convert the model; `incomplete` are the names of links with unreadable visuals. See `read_robot`."""
         self.shapes = BodyShapes(self.model, self.data, self.group, visuals)
         chains, base = self._chains()
         model, data = self.model, self.data
@@ -210,9 +216,9 @@ class _Reader:
         mujoco.mj_kinematics(model, data)
         forward = forward or self._guess_forward(chains)
         self._turn(FORWARD[forward])
-        places = data.xanchor[self.hinge[chains]]
-        feet = [self._foot(chain[-1], place[-1]) for chain, place in zip(chains, places, strict=True)]
-        order = self._order(places[:, -2], np.array([foot.centre for foot in feet]))
+        anchors = data.xanchor[self.hinge[chains]]
+        feet = [self._foot(chain[-1], anchor[-1]) for chain, anchor in zip(chains, anchors, strict=True)]
+        order = self._order(anchors[:, -2], np.array([foot.centre for foot in feet]))
         chains, feet = [chains[leg] for leg in order], pair_feet([feet[leg] for leg in order])
         joints = tuple(tuple(self._joint_names(chain)) for chain in chains)
         knees = [leg[-1] for leg in joints]
@@ -221,7 +227,7 @@ class _Reader:
             which = "feet" if len(radii) == len(feet) else f"feet of {choices(radii)}"
             radius = choices(dict.fromkeys(f"{radius:.3g}" for radius in radii.values()))
             self.notes.append(f"{which}: {source}, radius {radius} m")
-        points = [self.shapes.hull(np.flatnonzero(model.geom_bodyid == body)) for body in range(model.nbody)]
+        points = [self.shapes.hull_points(np.flatnonzero(model.geom_bodyid == body)) for body in range(model.nbody)]
         warnings = implausible_inertias(model, data, points)
         robot = ImportedRobot(
             name=robot_name(self.path, self.file_name),
@@ -247,23 +253,23 @@ class _Reader:
         if reason is not None:
             raise self._error(reason)
         names, origins = {base: "base"}, {base: np.zeros(3)}
-        for chain, links, places in zip(chains, robot.link_names, robot.places, strict=True):
+        for chain, links, anchors in zip(chains, robot.link_names, robot.axis_points, strict=True):
             names |= dict(zip(chain, links, strict=True))
-            origins |= dict(zip(chain, places, strict=True))
+            origins |= dict(zip(chain, anchors, strict=True))
         parts = self._parts(visuals, names, origins)
         movers = [int(self.group[model.body(link).id]) for link in incomplete]
-        undrawn = dict.fromkeys(names[mover] for mover in movers if mover in names)
-        return replace(robot, parts=parts, undrawn=tuple(undrawn), notes=tuple(self.notes))
+        links_without_mesh = dict.fromkeys(names[mover] for mover in movers if mover in names)
+        return replace(robot, parts=parts, links_without_mesh=tuple(links_without_mesh), notes=tuple(self.notes))
 
     def _parts(
         self, visuals: Sequence[Visual], names: dict[int, str], origins: dict[int, Array]
     ) -> tuple[VisualPart, ...]:
-        """Return what is drawn of the base and the legs, decimated, one part a link and colour.
+        """Return the decimated visuals of base and legs, one part per link and colour.
 
         Args:
-            visuals: of the file.
-            names: the links' names by the body that moves them.
-            origins: the links' origins (3,) [m] by that body.
+            visuals: visuals of the file.
+            names: link names by the body that moves the link.
+            origins: link origins (3,) [m] by that body.
         """
         movers = {visual.body: int(self.group[self.model.body(visual.body).id]) for visual in visuals}
         parts: dict[tuple[str, Color], list[Surface]] = {}
@@ -275,28 +281,28 @@ class _Reader:
             surface = visual.surface.place(frame @ visual.frame)
             parts.setdefault((names[mover], visual.color), []).append(surface)
         merged = {key: merge_surfaces(surfaces) for key, surfaces in parts.items()}
-        drawn = {
+        usable = {
             key: surface
             for key, surface in merged.items()
             if len(surface.faces) and np.abs(surface.vertices).max() < MAX_EXTENT - 1
         }
-        triangles = sum(len(surface.faces) for surface in drawn.values())
-        if len(drawn) > MAX_PARTS or triangles > MAX_TRIANGLES:
-            self.notes.append(f"not drawn: {triangles} triangles of {len(drawn)} links and colours are too many")
+        triangles = sum(len(surface.faces) for surface in usable.values())
+        if len(usable) > MAX_PARTS or triangles > MAX_TRIANGLES:
+            self.notes.append(f"not drawn: {triangles} triangles of {len(usable)} links and colours are too many")
             return ()
-        if len(drawn) < len(merged):
-            absent = choices(dict.fromkeys(link for link, color in merged if (link, color) not in drawn))
+        if len(usable) < len(merged):
+            absent = choices(dict.fromkeys(link for link, color in merged if (link, color) not in usable))
             self.notes.append(f"not drawn: shapes of {absent} have no area, or are farther away than {MAX_EXTENT:g} m")
         return tuple(
             VisualPart(link, surface.vertices.astype(np.float32), surface.faces.astype(np.int32), color)
-            for (link, color), surface in drawn.items()
+            for (link, color), surface in usable.items()
         )
 
     def _chains(self) -> tuple[list[list[int]], int]:
-        """Return the four chains of moving bodies that hang from one base, and the base."""
+        """Return the four chains of moving bodies that are attached to the base, and the base."""
         model = self.model
         if mjtJoint.mjJNT_HINGE not in model.jnt_type:
-            raise self._error(f"is an object or a scene: nothing in it turns on a hinge; {QUADRUPED}")
+            raise self._error(f"is an object or a scene without hinge joints; {QUADRUPED}")
         movers = np.unique(self.group[1:]).tolist()
         children: dict[int, list[int]] = {body: [] for body in (0, *movers)}
         depth = dict.fromkeys(children, 0)
@@ -313,24 +319,24 @@ class _Reader:
         def below(body: int) -> list[int]:
             return [body, *itertools.chain.from_iterable(map(below, children[body]))]
 
-        # The base is what most legs hang from: the root, or below a mount without a free joint.
+        # The base is the body with most chains: the root, or a body below a mount without a free joint.
         base = max(movers, key=lambda body: (len(children[body]), -body))
         robots = [str(model.body(body).name) for body in children[0] if len(children[body]) >= 4]
         if len(robots) > 1:
-            raise self._error(f"holds {len(robots)} robots: {choices(robots)}; give a file with one")
+            raise self._error(f"contains {len(robots)} robots: {choices(robots)}; give a file with one")
         if len(children[base]) < 2 and len(children[0]) > len(children[base]):
-            raise self._error("its legs hang from nothing that moves; the base needs to be a body")
+            raise self._error("its legs are attached to the world; the base must be a body")
         chains = [longest(child) for child in children[base]]
         wheels = [chain[-1] for chain in chains if len(chain) > 2 and self._ends_in_wheel(chain)]
         if wheels and len(chains) == 4:
-            raise self._error(describe_wheels(self._names_of(wheels), self.is_urdf))
+            raise self._error(describe_wheels(self._joint_labels(wheels), self.is_urdf))
         if len(chains) == 4 and (springs := [chain[-1] for chain in chains if self._slides(chain[-1])]):
-            raise self._error(describe_springs(self._names_of(springs), self.is_urdf))
+            raise self._error(describe_springs(self._joint_labels(springs), self.is_urdf))
         legs = [chain for chain in chains if len(chain) in (2, 3)]
         legs = legs if len(legs) == 4 else chains
         for first, *_ in (chain for chain in chains if chain not in legs):
             (name,) = self._joint_names([first])
-            self.notes.append(f"joint '{name}' and what hangs from it are held still: no leg's")
+            self.notes.append(f"joint '{name}' and the bodies below it are fixed, because they are not part of a leg")
             self.group[np.isin(self.group, below(first))] = base
         branches = [str(model.body(body).name) for leg in legs for body in leg[:-1] if len(children[body]) > 1]
         slides = [
@@ -343,28 +349,28 @@ class _Reader:
         check_legs(self.path, model.body(base).name, names, next(iter(branches), None), model.neq > 0, slides)
         return legs, base
 
-    def _names_of(self, bodies: list[int]) -> list[str]:
-        """Return the names of the joints of bodies, and of the bodies where joints have none."""
+    def _joint_labels(self, bodies: list[int]) -> list[str]:
+        """Return the names of the bodies' joints for messages; a joint without a name is described by its body."""
         names = zip(self._joint_names(bodies), bodies, strict=True)
         return [name or f"the joint of body '{self.model.body(body).name or body}'" for name, body in names]
 
     def _slides(self, body: int) -> bool:
-        """Return whether a body slides on the one before it."""
+        """Return whether a body's joint is prismatic."""
         return bool(self.model.jnt_type[int(self.hinge[body])] == mjtJoint.mjJNT_SLIDE.value)
 
     def _ends_in_wheel(self, chain: list[int]) -> bool:
         """Return whether a leg's last hinge turns a wheel."""
         above, last = (int(self.hinge[body]) for body in chain[-2:])
         hinges = (self.model.jnt_type[[above, last]] == mjtJoint.mjJNT_HINGE.value).all()
-        points = self.shapes.surface(self.shapes.of(chain[-1]))
+        points = self.shapes.surface_points(self.shapes.geom_ids(chain[-1]))
         return bool(hinges) and is_wheel(self.model, self.data, above, last, points)
 
     def _guess_forward(self, chains: list[list[int]]) -> str:
-        """Return the direction that is forward: across the knees' axes, towards the legs whose names say front."""
+        """Guess the forward direction: normal to the knee axes, towards the legs with names such as front."""
         joints = self.hinge[chains]
         hips, knee = self.data.xanchor[joints[:, 0]], np.abs(self.data.xaxis[joints[0, -1]])
         axis = 0 if knee[1] > knee[0] else 1
-        front = np.array([bool(_FRONT.search(" ".join(self._joint_names(chain)))) for chain in chains])
+        front = np.array([bool(_FRONT_NAMES.search(" ".join(self._joint_names(chain)))) for chain in chains])
         ahead = 1.0
         if front.sum() == 2:
             ahead = hips[front, axis].mean() - hips[~front, axis].mean()
@@ -373,16 +379,16 @@ class _Reader:
         return f"{'+' if ahead > 0 else '-'}{'xy'[axis]}"
 
     def _turn(self, angle: float) -> None:
-        """Turn all places and frames about z [rad], so that x is forward."""
+        """Rotate all positions and frames about z by `angle` [rad], so that x is forward."""
         cos, sin = np.cos(angle).round(12), np.sin(angle).round(12)
         turn, data = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), self.data
-        for places in (data.xpos, data.xipos, data.xanchor, data.xaxis, data.geom_xpos):
-            places[:] = places @ turn.T
+        for vectors in (data.xpos, data.xipos, data.xanchor, data.xaxis, data.geom_xpos):
+            vectors[:] = vectors @ turn.T
         for frames in (data.xmat, data.ximat, data.geom_xmat):
             frames[:] = (turn @ frames.reshape(-1, 3, 3)).reshape(-1, 9)
 
     def _body(self, mover: int) -> RigidBody:
-        """Return what moves with a body as one, in the base's frame."""
+        """Return the rigid body that moves with a body, including bodies fixed to it, in the base frame."""
         model, data, parts = self.model, self.data, []
         for body in np.flatnonzero((self.group == mover) & (model.body_mass > 0)):
             axes = data.ximat[body].reshape(3, 3)
@@ -393,18 +399,18 @@ class _Reader:
         return fuse(parts)
 
     def _hinges(self, chains: list[list[int]]) -> dict[str, Any]:
-        """Return what an `ImportedRobot` has of its hinges; refuse axes that are not along the base's x and y."""
+        """Return the fields of `ImportedRobot` on hinges; reject axes that are not along x and y of the base."""
         model, joints, along = self.model, self.hinge[chains], np.array((0, 1, 1)[-len(chains[0]) :])
         axes = self.data.xaxis[joints]
         if (
             len(chains[0]) == 3
-            and (np.abs(axes[:, 0, 1]) > _CLEARLY).all()
-            and (np.abs(axes[:, 1, 0]) > _CLEARLY).all()
+            and (np.abs(axes[:, 0, 1]) > _MIN_AXIS_COSINE).all()
+            and (np.abs(axes[:, 1, 0]) > _MIN_AXIS_COSINE).all()
         ):
             swing, abduction, _ = self._joint_names(chains[0])
             raise self._error(
-                f"its hips swing before they abduct ('{swing}' turns about y, '{abduction}' about x): such legs can't "
-                "be taken; to train a similar robot, exchange these two joints of every leg in a copy of the file"
+                f"its hips swing before they abduct ('{swing}' turns about y, '{abduction}' about x): such legs are "
+                "not supported; to train a similar robot, exchange these two joints of every leg in a copy of the file"
             )
         cosines = np.take_along_axis(axes, along[None, :, None], axis=2)[..., 0]
         for leg, k in np.argwhere(np.abs(np.abs(cosines) - 1) > _AXIS_TOLERANCE):
@@ -422,7 +428,7 @@ class _Reader:
             raise self._error(reason)
         speeds = [[self.speeds.get(name, np.nan) for name in self._joint_names(chain)] for chain in chains]
         return {
-            "places": self.data.xanchor[joints],
+            "axis_points": self.data.xanchor[joints],
             "axes": np.eye(3)[along] * np.sign(cosines)[..., None],
             "limits": limits,
             "kp": servos.kp,
@@ -436,24 +442,24 @@ class _Reader:
         }
 
     def _foot(self, body: int, knee: Array) -> Foot:
-        """Return a leg's foot; see `find_foot`."""
+        """Return the foot of a leg; see `find_foot`."""
         if (foot := find_foot(self.shapes, body, knee)) is None:
-            raise self._error(f"'{self.model.body(body).name}' has neither a shape nor a link for its foot; add one")
+            raise self._error(f"'{self.model.body(body).name}' has neither a shape nor a foot link; add one")
         return foot
 
     def _box(self, base: int) -> tuple[Array, Array]:
-        """Return centre and half of the sides of a box around the base's shapes, or with its inertia."""
-        if (geoms := self.shapes.of(base)).size:
-            corners = self.shapes.hull(geoms)
+        """Return centre and half side lengths of a box around the base's shapes, or else with the base's inertia."""
+        if (geoms := self.shapes.geom_ids(base)).size:
+            corners = self.shapes.hull_points(geoms)
             low, high = corners.min(axis=0), corners.max(axis=0)
             return (low + high) / 2, (high - low) / 2
         body = self._body(base)
         moments = np.diag(body.inertia)
-        self.notes.append("the base has no shape: a box with its inertia stands for it")
+        self.notes.append("the base has no shape: it is replaced by a box with the same inertia")
         return body.centre, np.sqrt(np.maximum(1.5 / body.mass * (moments.sum() - 2 * moments), 1e-4))
 
     def _order(self, hips: Array, feet: Array) -> list[int]:
-        """Return the indices of the legs front left, front right, back left and back right, by places (4, 3)."""
+        """Return the indices of the legs in the order of `LEGS` from hip and foot positions (4, 3)."""
         front, left = hips[:, 0] > hips[:, 0].mean(), feet[:, 1] > feet[:, 1].mean()
         corners = [np.flatnonzero((front == f) & (left == s)) for f in (True, False) for s in (True, False)]
         if any(len(corner) != 1 for corner in corners):

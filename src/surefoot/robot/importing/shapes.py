@@ -1,4 +1,4 @@
-"""Shapes of a compiled model: those that move with a body, and points on them."""
+"""Collision and visual shapes of a compiled model, and points on them."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from mujoco import mjtGeom
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.robot.importing.foot import surface_points
+from surefoot.robot.importing.foot_sphere import surface_points
 from surefoot.robot.importing.visuals import Visual
 
 
 class BodyShapes:
-    """Shapes of a model, in the frame of its present places.
+    """Shapes of a MuJoCo model, as points in the frame of `data`.
 
     Args:
         model: the model.
-        data: its places, which may change.
-        group: for each body the one whose joint moves it.
-        visuals: what is drawn.
+        data: its kinematic state, which may change between calls.
+        group: for each body, the body whose joint moves it.
+        visuals: visual surfaces of the model.
     """
 
     def __init__(
@@ -30,23 +30,23 @@ class BodyShapes:
     ) -> None:
         self.model, self.data, self.group, self.visuals = model, data, group, visuals
 
-    def of(self, mover: int) -> NDArray[np.int64]:
-        """Return the shapes that move with a body."""
+    def geom_ids(self, mover: int) -> NDArray[np.int64]:
+        """Return the ids of the collision geoms that move with a body."""
         return np.flatnonzero(self.group[self.model.geom_bodyid] == mover)
 
-    def hull(self, geoms: Iterable[int]) -> Array:
-        """Return points (p, 3) whose hull holds shapes: vertices of meshes, and corners of boxes around others."""
+    def hull_points(self, geoms: Iterable[int]) -> Array:
+        """Return points (p, 3) whose convex hull encloses geoms: mesh vertices, or corners of bounding boxes."""
         return np.concatenate([np.empty((0, 3)), *map(self._corners, geoms)])
 
-    def surface(self, geoms: Iterable[int]) -> Array:
-        """Return points (p, 3) on the surfaces of shapes."""
+    def surface_points(self, geoms: Iterable[int]) -> Array:
+        """Return points (p, 3) on the surfaces of geoms."""
         return np.concatenate([np.empty((0, 3)), *map(self._surface, geoms)])
 
-    def drawn(self, mover: int) -> Array:
-        """Return points (p, 3) of what is drawn and moves with a body."""
-        return np.concatenate([np.empty((0, 3)), *self._drawn(mover)])
+    def visual_points(self, mover: int) -> Array:
+        """Return the vertices (p, 3) of visual surfaces that move with a body."""
+        return np.concatenate([np.empty((0, 3)), *self._visual_vertices(mover)])
 
-    def _drawn(self, mover: int) -> Iterator[Array]:
+    def _visual_vertices(self, mover: int) -> Iterator[Array]:
         for visual in self.visuals:
             body = self.model.body(visual.body).id
             if self.group[body] == mover:
@@ -56,7 +56,7 @@ class BodyShapes:
     def _corners(self, geom: int) -> Array:
         model = self.model
         if model.geom_type[geom] == mjtGeom.mjGEOM_MESH:
-            # The box around a mesh has its principal axes: the box around that one would be too large.
+            # A mesh's bounding box is along its principal axes; the bounding box of that box would be too large.
             first = model.mesh_vertadr[model.geom_dataid[geom]]
             points = model.mesh_vert[first : first + model.mesh_vertnum[model.geom_dataid[geom]]].astype(float)
         else:

@@ -1,4 +1,4 @@
-"""Units that files have in place of SI units and radians: degrees, revolutions per minute, millimetres, grams."""
+"""Detection of wrong units in robot files: degrees, revolutions per minute, millimetres and grams."""
 
 from __future__ import annotations
 
@@ -9,30 +9,30 @@ import numpy as np
 
 from surefoot.arrays import Array
 
-PLACEHOLDER_SPEED = 100.0
-"""A speed limit [rad/s] from which on it is a placeholder."""
-_USUAL_SPEEDS = (3.0, 80.0)
-"""Speed limits [rad/s] that drives of legs have."""
-_UNITS = {"rpm": math.tau / 60, "degrees per second": math.pi / 180}
-"""Units that speed limits are mistaken for, in rad/s."""
+MIN_PLACEHOLDER_SPEED = 100.0
+"""Speed limit [rad/s] from which it counts as a placeholder."""
+_REAL_SPEEDS = (3.0, 80.0)
+"""Range of realistic speed limits of leg actuators [rad/s]."""
+_SPEED_UNITS = {"rpm": math.tau / 60, "degrees per second": math.pi / 180}
+"""Wrong units in which files state speed limits, in rad/s."""
 _MAX_RADIANS = 4 * math.pi
-"""Greatest limit of an angle that is read as radians."""
+"""Maximum angle limit that is interpreted as radians."""
 _MAX_DEGREES = 360.0
-"""Greatest limit of an angle that is read as degrees; larger ones are placeholders."""
+"""Maximum angle limit that is interpreted as degrees; larger ones are placeholders."""
 _DENSITIES = (10.0, 5000.0)
-"""Mass over the cube of the legs' length [kg/m3] of robots with legs; 60 to 400 in those that are known."""
+"""Plausible range of mass divided by the cube of the leg length [kg/m3]; 60 to 400 for known robots."""
 _LENGTHS = {"mm": 1e-3}
 _MASSES = {"g": 1e-3}
-_OVERSIZE = 25.0
-"""Size of shapes, over the length of the upper links, from which they are in another unit."""
+_MAX_SIZE_RATIO = 25.0
+"""Maximum plausible size of shapes relative to the upper links' length."""
 _MIN_RANGE = 0.15
-"""Range [rad] of the widest hinge below which no leg can step."""
-_ROUND = (100.0, 200.0, 500.0, 1000.0, 10000.0, 100000.0)
-"""Speeds that are written where nobody knew one."""
+"""Minimum range [rad] of the widest leg joint for a leg that can step."""
+_PLACEHOLDER_SPEEDS = (100.0, 200.0, 500.0, 1000.0, 10000.0, 100000.0)
+"""Typical placeholder speeds, which are in no unit."""
 
 
 def explain_speeds(speeds: Array) -> str:
-    """Return what speed limits (n,) [rad/s] of a file are that no joint has."""
+    """Return an explanation of a file's unrealistic speed limits (n,) [rad/s]."""
     stated = speeds[np.isfinite(speeds) & (speeds > 0)]
     if not stated.size:
         return "the file has no real limit"
@@ -40,8 +40,8 @@ def explain_speeds(speeds: Array) -> str:
     text = f"the file has {_span(low, high)} rad/s, which no joint reaches"
     units = [
         f"if these are {unit}, it is {_span(low * size, high * size)} rad/s"
-        for unit, size in _UNITS.items()
-        if _USUAL_SPEEDS[0] <= low * size and high * size <= _USUAL_SPEEDS[1] and low not in _ROUND
+        for unit, size in _SPEED_UNITS.items()
+        if _REAL_SPEEDS[0] <= low * size and high * size <= _REAL_SPEEDS[1] and low not in _PLACEHOLDER_SPEEDS
     ]
     return "; ".join([text, *units])
 
@@ -51,7 +51,7 @@ def _span(low: float, high: float) -> str:
 
 
 def convert_degrees(root: ElementTree.Element, notes: list[str]) -> None:
-    """Turn a URDF's limits of angles into radians, if they can only be degrees."""
+    """Convert a URDF's angle limits to radians in place, if they can only be degrees."""
     limits = []
     for joint in root.findall("joint"):
         limit = joint.find("limit")
@@ -69,22 +69,22 @@ def convert_degrees(root: ElementTree.Element, notes: list[str]) -> None:
     low, high = min(ends[0] for _, ends in limits), max(ends[1] for _, ends in limits)
     for limit, ends in limits:
         limit.attrib |= {key: repr(math.radians(end)) for key, end in zip(("lower", "upper"), ends, strict=True)}
-    notes.append(f"limits of angles, {low:g} to {high:g} in the file, are degrees; a URDF has radians")
+    notes.append(f"angle limits, {low:g} to {high:g} in the file, are read as degrees, although a URDF has radians")
 
 
 def explain_ranges(ranges: Array) -> str | None:
-    """Return why ranges (n, 2) [rad] of an MJCF's hinges are none, in words; None if they may be."""
+    """Return a message if the ranges (n, 2) [rad] of an MJCF's hinges are too narrow for legs, else None."""
     limited = ranges[np.isfinite(ranges).all(axis=-1)]
     if not len(limited) or (widest := float(np.ptp(limited, axis=-1).max())) > _MIN_RANGE:
         return None
     return (
-        f"the hinges of its legs turn by {widest:.2g} rad or less; an MJCF counts degrees unless its <compiler> has "
+        f"the hinges of its legs turn by {widest:.2g} rad or less; an MJCF has degrees unless its <compiler> has "
         'angle="radian": add that if its ranges are radians'
     )
 
 
 def explain_size(mass: float, length: float) -> str | None:
-    """Return which units a file may have whose mass [kg] and length of legs [m] are no robot's; None if they may be."""
+    """Return a message with likely units if mass [kg] and leg length [m] are implausible for a robot, else None."""
     low, high = _DENSITIES
     density = mass / length**3
     if low <= density <= high:
@@ -95,19 +95,19 @@ def explain_size(mass: float, length: float) -> str | None:
         fits = ["lengths are in mm and masses in g"]
     if not fits:
         return None
-    return f"{mass:.4g} kg on legs of {length:.3g} m are no robot; it looks as if {' or '.join(fits)}: state m and kg"
+    return f"{mass:.4g} kg on legs of {length:.3g} m are implausible; it looks as if {' or '.join(fits)}: use m and kg"
 
 
 def explain_meshes(upper: float, lower: float, box: float) -> str | None:
-    """Return that shapes are larger than the robot, if so.
+    """Return a message if shapes are much larger than the robot, else None.
 
     Args:
-        upper: length of the upper links [m], which is between joints.
-        lower: length of the lower links [m], which ends with their shapes.
-        box: half of the longest side of the box around the base's shapes [m].
+        upper: length of the upper links [m], measured between joints.
+        lower: length of the lower links [m], measured to the end of their shapes.
+        box: half the longest side of the bounding box of the base's shapes [m].
     """
     for part, size in (("the last links", lower), ("the base", box)):
-        if size > _OVERSIZE * upper:
+        if size > _MAX_SIZE_RATIO * upper:
             return (
                 f"the shapes of {part} are {size:.3g} m long, and its upper links {upper:.3g} m; meshes in mm need "
                 'scale="0.001 0.001 0.001"'

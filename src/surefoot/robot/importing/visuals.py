@@ -1,4 +1,4 @@
-"""What a URDF or MJCF draws: meshes and primitive shapes, with their colours and places."""
+"""Visual meshes and primitive shapes of a URDF or MJCF, with their colours and frames."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from surefoot.robot.importing.named_files import MAX_MESH_BYTES
 from surefoot.robot.urdf_file import read_colors, read_frame, read_material, read_numbers, read_shape
 from surefoot.rotations import quat_matrix
 
-TRIANGLES = 24_000
-"""Triangles of a robot that are kept, about."""
+TARGET_TRIANGLES = 24_000
+"""Approximate number of triangles of a robot after decimation."""
 _SOLIDS = {
     mjtGeom.mjGEOM_BOX: "box",
     mjtGeom.mjGEOM_CYLINDER: "cylinder",
@@ -31,30 +31,30 @@ _SOLIDS = {
     mjtGeom.mjGEOM_ELLIPSOID: "sphere",
 }
 _DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
-"""Colour of MuJoCo's geoms that have none of their own: a material's counts then."""
-_SHOWN_GROUPS = 3
-"""Groups of geoms that MuJoCo's viewer shows."""
+"""Default colour of MuJoCo's geoms, which a material overrides."""
+_VISIBLE_GROUPS = 3
+"""Number of geom groups that MuJoCo's viewer shows by default."""
 
 
 class Visual(NamedTuple):
-    """A surface on a body of MuJoCo's model."""
+    """A visual surface on a body of a MuJoCo model."""
 
     body: str | int
     """The body's name or number."""
     surface: Surface
-    """The same object in all visuals of a mesh."""
+    """The surface; all visuals with the same mesh share one object."""
     frame: Array
-    """Frame (4, 4) in the body's, which may scale and mirror."""
+    """Transform (4, 4) to the body's frame, which may scale and mirror."""
     color: Color
 
 
 def decimate_visuals(visuals: Sequence[Visual]) -> list[Visual]:
-    """Return visuals of about `TRIANGLES` in all; a mesh that is there several times is decimated once."""
+    """Decimate visuals to about `TARGET_TRIANGLES` triangles in total; a shared mesh is decimated once."""
     uses: dict[Surface, list[Visual]] = {}
     for visual in visuals:
         uses.setdefault(visual.surface, []).append(visual)
     sizes = [np.cbrt(abs(np.linalg.det(items[0].frame[:3, :3]))) for items in uses.values()]
-    reduced = decimate(list(uses), sizes, list(map(len, uses.values())), TRIANGLES)
+    reduced = decimate(list(uses), sizes, list(map(len, uses.values())), TARGET_TRIANGLES)
     surfaces = dict(zip(uses, reduced, strict=True))
     return [visual._replace(surface=surfaces[visual.surface]) for visual in visuals]
 
@@ -62,9 +62,12 @@ def decimate_visuals(visuals: Sequence[Visual]) -> list[Visual]:
 def read_urdf_visuals(
     root: ElementTree.Element, path: Path, find_mesh: Callable[[str, Path], Path], notes: list[str]
 ) -> tuple[list[Visual], list[str]]:
-    """Return what a URDF draws, and the links of which something can't be read, which is left out and noted.
+    """Read the visuals of a URDF.
 
-    A mesh has its own colours, else that of the URDF's material, as in RViz.
+    A mesh has its own colours, or else the colour of the URDF's material, as in RViz.
+
+    Returns:
+        The visuals, and the names of links with a visual that can't be read; it is left out and noted.
     """
     colors, visuals, problems, incomplete = read_colors(root, path), [], [], []
     meshes: dict[Path, list[Surface]] = {}
@@ -86,7 +89,9 @@ def read_urdf_visuals(
                 else:
                     continue
                 if mesh is not None and not 1e-15 < abs(np.linalg.det(frame)) < 1e15:
-                    raise SurefootError(f"{where}: scale is {mesh.get('scale')}; a volume is scaled by 1e-15 to 1e+15")
+                    raise SurefootError(
+                        f"{where}: scale is {mesh.get('scale')}; the product of its factors must be 1e-15 to 1e+15"
+                    )
             except SurefootError as error:
                 problems.append(str(error).removeprefix(f"{path}: "))
                 incomplete.append(name)
@@ -97,10 +102,10 @@ def read_urdf_visuals(
 
 
 def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
-    """Return what an MJCF draws.
+    """Read the visuals of an MJCF.
 
-    Bodies that are welded together are one part. If one of its shapes that collide with nothing is a mesh, those shapes
-    are drawn; else, if one that MuJoCo's viewer shows is a mesh, what the viewer shows; else all shapes.
+    Bodies that are welded together form one part. If the non-colliding geoms of a part include a mesh, these geoms are
+    its visuals; else, if the geoms that MuJoCo's viewer shows include a mesh, these; else all its geoms.
     """
     try:
         with mujoco_errors(path):
@@ -117,7 +122,7 @@ def read_mjcf_visuals(path: Path, notes: list[str]) -> list[Visual]:
         note_problems("not drawn", [str(error).removeprefix(f"{path}: ")], notes)
         return []
     part, mesh_geoms = model.body_weldid[model.geom_bodyid], model.geom_type == mjtGeom.mjGEOM_MESH
-    shown = model.geom_group < _SHOWN_GROUPS
+    shown = model.geom_group < _VISIBLE_GROUPS
     decor = (model.geom_contype == 0) & (model.geom_conaffinity == 0)
     shown |= ~np.isin(part, part[shown & mesh_geoms])
     shown = np.where(np.isin(part, part[decor & mesh_geoms]), decor, shown)
@@ -146,7 +151,7 @@ def _mesh_surface(model: mujoco.MjModel, mesh: int) -> Surface:
 
 
 def _solid(kind: mjtGeom, size: Array) -> Surface:
-    """Return the surface of a primitive geom; a capsule is a sphere in two halves, an ellipsoid a scaled one."""
+    """Triangulate a primitive geom; a capsule is a sphere split into two halves, an ellipsoid a scaled sphere."""
     if kind == mjtGeom.mjGEOM_ELLIPSOID:
         points, faces = triangulate("sphere", (1.0,))
         return Surface(points * size, faces)
@@ -157,7 +162,7 @@ def _solid(kind: mjtGeom, size: Array) -> Surface:
 
 
 def _geom_rgba(model: mujoco.MjModel, geom: int) -> Array:
-    """Return a geom's red, green, blue and alpha: its own, or its material's, times the mean of its texture."""
+    """Return the RGBA colour of a geom: its own or its material's, multiplied by the mean colour of its texture."""
     rgba, material = model.geom_rgba[geom].astype(float), int(model.geom_matid[geom])
     if material < 0:
         return rgba
@@ -172,7 +177,7 @@ def _geom_rgba(model: mujoco.MjModel, geom: int) -> Array:
 
 
 def note_problems(consequence: str, problems: Iterable[str], notes: list[str]) -> None:
-    """Add one note about problems that were met, the first of them in full."""
+    """Add one note about several problems, with the first message in full."""
     if messages := list(dict.fromkeys(problems)):
         more = f" (and {len(messages) - 1} more)" if len(messages) > 1 else ""
         notes.append(f"{consequence}: {messages[0]}{more}")

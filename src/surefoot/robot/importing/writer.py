@@ -1,4 +1,7 @@
-"""The folder of an imported robot: a URDF with frames along the base's and primitive shapes, and a sheet."""
+"""Writer of an imported robot's folder: a URDF with primitive shapes, visual meshes and a data sheet.
+
+All link frames of the URDF are parallel to the base frame at zero angles.
+"""
 
 from __future__ import annotations
 
@@ -14,57 +17,57 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, check_name, describe_os_errors
 from surefoot.files import atomic_write
-from surefoot.robot.appearance import LOOKS, Appearance, VisualPart, shape_part, visual_shapes
+from surefoot.robot.appearance import VISUALS_FILE, Appearance, VisualPart, triangulate_shape, visual_shapes
+from surefoot.robot.data_sheet import Leg
+from surefoot.robot.importing.data_sheet_numbers import actuator, leg_space, motor_order
 from surefoot.robot.importing.imported import KNEE_SIGNS, LEGS, ImportedRobot, Knees
-from surefoot.robot.importing.rules import GUESSED, WARNING, one_line
-from surefoot.robot.importing.sheet_numbers import actuator, leg_space, motor_order
+from surefoot.robot.importing.rules import GUESS_PREFIX, WARNING_PREFIX, one_line
 from surefoot.robot.rigid_body import RigidBody
-from surefoot.robot.sheet import Leg
 from surefoot.robot.urdf import Joint, Link, Shape, Urdf
 from surefoot.robot.urdf_file import format_urdf
 from surefoot.rotations import rpy_matrix
 
 URDF = "robot.urdf"
-_GUESSED = f"  # {GUESSED}"
+_GUESS_COMMENT = f"  # {GUESS_PREFIX}"
 _NEWLINE = "\n"
 
 
 def write_robot(robot: ImportedRobot, folder: Path, name: str, knees: Knees | None = None) -> list[str]:
-    """Write a robot's folder: `robot.urdf`, and `robot.toml` with a comment at each guess.
+    """Write a robot's folder: `robot.urdf`, `visuals.npz`, and `robot.toml` with a comment on each guess.
 
     Args:
         robot: the robot.
-        folder: an empty or new one.
+        folder: an empty or new folder.
         name: name of the robot.
-        knees: where knees point; None: what the file shows, see `ImportedRobot.guess_knees`.
+        knees: direction of the knees; defaults to `ImportedRobot.guess_knees`.
 
     Returns:
-        The guesses, a line each.
+        The notes and guesses, one line each.
 
     Raises:
-        SurefootError: an invalid name, a folder that holds a robot, or one that can't be written.
+        SurefootError: the name is invalid, the folder already contains a robot or can't be written.
     """
     check_name("name", name)
     if (folder / "robot.toml").exists():
-        raise SurefootError(f"{folder}: holds a robot; give another --out, or move it away")
+        raise SurefootError(f"{folder}: already has a robot; give another --out, or move it away")
     sheet = _sheet(robot, name, knees)
     with describe_os_errors(folder, "made"):
         folder.mkdir(parents=True, exist_ok=True)
     urdf = _urdf(robot)
     _write(folder / URDF, format_urdf(urdf, name))
     if robot.parts:
-        Appearance((*robot.parts, *_substitutes(robot, urdf))).save(folder / LOOKS)
+        Appearance((*robot.parts, *_substitutes(robot, urdf))).save(folder / VISUALS_FILE)
     _write(folder / "robot.toml", sheet)
-    guesses = [line.replace(_GUESSED, ": ") for line in sheet.splitlines() if _GUESSED in line]
+    guesses = [line.replace(_GUESS_COMMENT, ": ") for line in sheet.splitlines() if _GUESS_COMMENT in line]
     return list(dict.fromkeys([*robot.notes, *guesses]))
 
 
 def set_servo_step(folder: Path, step: float) -> str:
-    """Write a shorter physics step [s] to the sheet of a robot that was just imported; return the guess as a line."""
-    line = f"servo_step = {step:g}{_GUESSED}s, the longest that servos, friction and feet allow"
+    """Set a shorter physics step [s] in the data sheet of a newly imported robot; return the guess as one line."""
+    line = f"servo_step = {step:g}{_GUESS_COMMENT}s, the longest that servos, friction and feet allow"
     path = folder / "robot.toml"
     _write(path, re.sub("(?m)^servo_step = .*", line, path.read_text(encoding="utf-8")))
-    return line.replace(_GUESSED, ": ")
+    return line.replace(_GUESS_COMMENT, ": ")
 
 
 def _write(path: Path, text: str) -> None:
@@ -73,9 +76,9 @@ def _write(path: Path, text: str) -> None:
 
 
 def _sheet(robot: ImportedRobot, name: str, knees: Knees | None) -> str:
-    """Return the text of a `robot.toml`."""
+    """Return the text of the data sheet."""
     guess, reason, uncertain = robot.guess_knees()
-    comment = f"{_GUESSED}{reason}" if uncertain and knees is None else ""
+    comment = f"{_GUESS_COMMENT}{reason}" if uncertain and knees is None else ""
     legs = [
         f"""
 [legs.{leg}]
@@ -86,13 +89,13 @@ knee = "{"forward" if sign > 0 else "backward"}"{comment}"""
     ]
     return f"""\
 # {name}: made from {one_line(robot.path.name)}, whose {robot.forward} is forward. SI units, radians.
-# Lines with 'guessed' are not in that file: replace them by the robot's own numbers.
-{"".join(f"{WARNING}{one_line(line)}{_NEWLINE}" for line in robot.warnings)}
+# Numbers with the comment 'guessed' are not in that file: replace them by the robot's own numbers.
+{"".join(f"{WARNING_PREFIX}{one_line(line)}{_NEWLINE}" for line in robot.warnings)}
 name = "{name}"
 urdf = "robot.urdf"
 base = "base"
-{f'looks = "{LOOKS}"' if robot.parts else ""}
-# In the order of commands and readings; joint angle in the URDF = sign * motor angle.
+{f'visuals = "{VISUALS_FILE}"' if robot.parts else ""}
+# Order of commands and readings; joint angle in the URDF = sign * motor angle.
 [motors]
 {motor_order(robot)}
 
@@ -100,7 +103,7 @@ base = "base"
 order = {json.dumps(LEGS)}
 {_NEWLINE.join(legs)}
 
-# What commands may ask of legs: abduction and swing in rad, extension in lengths of the straight leg.
+# Ranges of commands: abduction and swing in rad, extension relative to the straight leg's length.
 [leg_space]
 {_NEWLINE.join(leg_space(robot))}
 
@@ -110,33 +113,33 @@ kind = "joint"
 {_NEWLINE.join(actuator(robot))}
 
 [timing]
-servo_step = {0.001 if robot.mass < 5 else 0.002}{_GUESSED}s, of the actuators' controllers
-control_step = 0.01{_GUESSED}s, between two commands of a policy
-servo_latency = 0.002{_GUESSED}s, age of what the actuators' controllers see
-control_latency = 0.01{_GUESSED}s, age of what a policy sees
+servo_step = {0.001 if robot.mass < 5 else 0.002}{_GUESS_COMMENT}s, of the actuators' controllers
+control_step = 0.01{_GUESS_COMMENT}s, between two commands of a policy
+servo_latency = 0.002{_GUESS_COMMENT}s, age of the readings of the actuators' controllers
+control_latency = 0.01{_GUESS_COMMENT}s, age of the readings of a policy
 
 [contact]
-friction = 0.8{_GUESSED}rubber on a floor
+friction = 0.8{_GUESS_COMMENT}rubber on a floor
 """
 
 
 def _substitutes(robot: ImportedRobot, urdf: Urdf) -> Iterator[VisualPart]:
-    """Yield primitive shapes for links of which meshes are missing, as a robot without meshes is drawn."""
+    """Yield primitive shapes for links with missing meshes."""
     feet = {lower: f"{leg}_foot" for leg, (*_, lower) in zip(LEGS, robot.link_names, strict=True)}
-    links = {*robot.undrawn, *(feet[link] for link in robot.undrawn if link in feet)}
+    links = {*robot.links_without_mesh, *(feet[link] for link in robot.links_without_mesh if link in feet)}
     legs = [Leg(motors, f"{name}_foot", name=name) for name, motors in zip(LEGS, robot.joints, strict=True)]
-    yield from (shape_part(shape) for shape in visual_shapes(urdf, legs) if shape.link in links)
+    yield from (triangulate_shape(shape) for shape in visual_shapes(urdf, legs) if shape.link in links)
 
 
 def _urdf(robot: ImportedRobot) -> Urdf:
-    """Return links with frames along the base's and shapes of their own: a box, cylinders and spheres."""
+    """Return the robot with primitive shapes (a box, cylinders and spheres) and frames parallel to the base frame."""
     centre, half = robot.base_box
     links = {"base": _link(robot.base, np.zeros(3), Shape("base", "box", tuple(half), _frame(centre)))}
     joints: dict[str, Joint] = {}
     for k, leg in enumerate(LEGS):
         parent, origin = "base", np.zeros(3)
-        ends = [None, *robot.places[k, -1:], robot.feet[k]][-len(robot.joints[0]) :]
-        hinges = robot.places[k], robot.axes[k], robot.limits[k]
+        ends = [None, *robot.axis_points[k, -1:], robot.feet[k]][-len(robot.joints[0]) :]
+        hinges = robot.axis_points[k], robot.axes[k], robot.limits[k]
         for name, joint, body, end, place, axis, limits in zip(
             robot.link_names[k], robot.joints[k], robot.bodies[k], ends, *hinges, strict=True
         ):
@@ -163,14 +166,14 @@ def _frame(place: Array) -> Array:
 
 
 def _link(body: RigidBody, origin: Array, *shapes: Shape) -> Link:
-    """Return a link whose frame is at `origin` (3,) [m]; `body` is in the base's frame."""
+    """Return a link with its frame at `origin` (3,) [m]; `body` is in the base frame."""
     return Link(replace(body, centre=body.centre - origin), shapes, shapes)
 
 
 def _cylinder(link: str, start: Array, end: Array, radius: float) -> Shape:
     """Return a cylinder between two points (3,) [m] of the link's frame that differ in x and z.
 
-    It ends short of them, so that shapes of one leg do not touch.
+    It is a little shorter than their distance, so that shapes of one leg do not touch.
     """
     x, _, z = end - start
     frame = _frame((start + end) / 2)

@@ -1,4 +1,4 @@
-"""Xacro files: templates from which ROS makes URDFs, and how to expand one without ROS."""
+"""Detection of xacro files, which are templates of URDFs, and instructions to expand one without ROS."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from surefoot.errors import SurefootError, choices
 from surefoot.files import CONFIGURATION_BYTES, read_configuration
 
 _FIND = re.compile(r"(\$\(find(?:-pkg-share)?\s+([\w.-]+)\s*\))/?([^\s\"'<>$]*)")
-"""A package's folder, its name, and the path in it."""
+"""Reference to a ROS package: the reference itself, the package name, and the path in the package."""
 _INCLUDE = re.compile(r"<xacro:include\s[^>]*?filename\s*=\s*[\"']([^\"']+)[\"']")
 _SUBSTITUTION = re.compile(r"\$\{[^}]*\}|\$\([a-z-]+\s[^)]*\)")
 _FOLDERS = ("urdf", "xacro", "robots", "robot")
-"""Folders of packages that hold descriptions."""
+"""Usual folders of robot descriptions in a ROS package."""
 _MAX_FILES = 100
-"""Included files that are looked at."""
+"""Maximum number of included files that are read."""
 _LEVELS = 6
-"""Folders above a file in which a package is looked for."""
+"""Number of parent folders of a file in which packages are searched."""
 
 
 def is_xacro(root: ElementTree.Element) -> bool:
-    """Return whether a description is a template: it has elements of xacro, or attributes to be computed.
+    """Return whether a description is a xacro template: it has xacro elements, or attributes with expressions.
 
-    A file that only names xacro, in a comment, its name or a namespace, is none.
+    A file that only mentions xacro in a comment, its name or a namespace is not a template.
     """
     for element in root.iter():
         if isinstance(element.tag, str) and "xacro" in element.tag.partition("}")[0] and element.tag[:1] == "{":
@@ -36,18 +36,18 @@ def is_xacro(root: ElementTree.Element) -> bool:
 
 
 def explain_xacro(path: Path) -> SurefootError:
-    """Return the error for a xacro: what to install, and the command that expands it in this folder."""
+    """Return the error for a xacro, with the packages to install and the command to expand it."""
     start = f"{path}: is a xacro, which is a template"
     files, missing = _included_files(path)
-    found = [match for text in files.values() for match in _FIND.finditer(text)]
-    finds = {match[1]: match[2] for match in found}
+    matches = [match for text in files.values() for match in _FIND.finditer(text)]
+    finds = {match[1]: match[2] for match in matches}
     folders: dict[str, Path | None] = {}
-    for match in found:
+    for match in matches:
         folders[match[2]] = folders.get(match[2]) or _find_package(match[2], path, match[3])
     expand = f"`xacro {shlex.quote(path.name)} > robot.urdf`, and give robot.urdf"
     if absent := [name for name, folder in folders.items() if folder is None]:
         return SurefootError(
-            f"{start} and needs the package {choices(absent)}, which is not beside it; put its folder there, "
+            f"{start} and needs the package {choices(absent)}, which is not next to it; put its folder there, "
             f"pip install xacro, replace $(find {absent[0]}) by the path of that folder, run {expand}"
         )
     if missing:
@@ -58,13 +58,13 @@ def explain_xacro(path: Path) -> SurefootError:
     names = " ".join(shlex.quote(str(file)) for file, text in files.items() if _FIND.search(text))
     places = choices(f"{name} is {folder}" for name, folder in folders.items())
     return SurefootError(
-        f"{start}; without ROS, in its folder: pip install xacro, put the packages' folders in place of $(find ...) "
+        f"{start}; without ROS, in its folder: pip install xacro, replace $(find ...) by the packages' folders "
         f"({places}): `sed -i.bak {edits} {names}`, then {expand}"
     )
 
 
 def _included_files(path: Path) -> tuple[dict[Path, str], list[str]]:
-    """Return a xacro and the files that it includes, with their texts, and the names of those that are not there."""
+    """Return the texts of a xacro and its included files by path, and the names of missing files."""
     texts: dict[Path, str] = {}
     missing: dict[str, None] = {}
     waiting = [path.resolve()]
@@ -89,9 +89,10 @@ def _included_files(path: Path) -> tuple[dict[Path, str], list[str]]:
 
 
 def _find_package(name: str, path: Path, inside: str) -> Path | None:
-    """Return the folder of a package: of its name beside a file or above it, or with a package.xml that names it.
+    """Find the folder of a ROS package near a file, by the folder's name or its package.xml.
 
-    The folder above a file's `urdf` or `xacro` is a package of any name, if it holds the path `inside`.
+    The parent of a folder such as `urdf` or `xacro` counts as the package, whatever its name, if it contains the path
+    `inside`.
     """
     above = list(path.resolve().parents)[:_LEVELS]
     for folder in above:
@@ -104,7 +105,7 @@ def _find_package(name: str, path: Path, inside: str) -> Path | None:
 
 
 def _declares(folder: Path, name: str) -> bool:
-    """Return whether a folder's package.xml has that name."""
+    """Return whether a folder has a package.xml with that package name."""
     file = folder / "package.xml"
     try:
         return file.is_file() and f"<name>{name}</name>" in re.sub(r"\s", "", read_configuration(file).decode("utf-8"))

@@ -1,0 +1,1 @@
+"""Estimates of the base motion from the sensors of a robot, with numpy only."""

@@ -1,0 +1,201 @@
+"""Motion of the base in recorded runs, estimated from the robot's own readings, and its error in simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from surefoot.arrays import Array
+from surefoot.estimation.interface import MotionReadings, VelocityEstimator
+from surefoot.estimation.legged_odometry import LeggedOdometry
+from surefoot.robot import RobotDescription
+from surefoot.rotations import from_heading_frame, in_heading_frame, quat_yaw, rpy_quat
+from surefoot.task.trace import EpisodeTrace
+
+WINDOW = 0.5
+"""Time [s] over which errors of the velocity are averaged: about a stride."""
+DISTANCE_ERRORS = {"trot": 0.03, "gallop": 0.09}
+"""Root mean square errors of the distance of runs, relative, by gait: in simulation with the ranges of table I."""
+NOTE = (
+    "speed, distance and return are estimated from IMU and legs, as nothing measured the motion of the base; "
+    f"in simulation the distance is {DISTANCE_ERRORS['trot']:.0%} off in trots and {DISTANCE_ERRORS['gallop']:.0%} in "
+    "a gallop, see docs/estimation.md"
+)
+"""What to know of numbers that come from estimated motion."""
+EstimatorFactory = Callable[[RobotDescription, int], VelocityEstimator]
+"""Makes an estimator for a robot and a number of robots."""
+
+
+@dataclass(frozen=True)
+class EstimatedMotion:
+    """Estimated motion of the base in a run of T control steps, at the times of its readings."""
+
+    time: Array
+    """Time since the start at which the readings were taken (T,) [s]."""
+    velocity: Array
+    """Mean velocity since the readings before in the heading frame, (T, 3) [m/s]: forward, left, up."""
+    variance: Array
+    """Variance of the error of each component (T, 3) [m^2/s^2], in the base frame."""
+    height: Array
+    """Height of the base's origin above the feet in contact (T,) [m]."""
+    contact: Array
+    """Probability that each foot stands without slipping (T, L)."""
+
+
+def estimate_motion(
+    traces: Sequence[EpisodeTrace], robot: RobotDescription, make: EstimatorFactory = LeggedOdometry
+) -> list[EstimatedMotion]:
+    """Estimate the motion in runs of one robot, all runs together.
+
+    Only the robot's own readings are used. A simulation records the torques of the present and all other readings as
+    old as its control latency; its torques are delayed like them.
+    """
+    kept = [_kept_rows(trace) for trace in traces]
+    columns = [_readings(trace, rows) for trace, rows in zip(traces, kept, strict=True)]
+    steps = max(map(len, kept))
+    padded = {name: np.stack([_padded(one[name], steps) for one in columns], axis=1) for name in columns[0]}
+    estimator, results = make(robot, len(traces)), []
+    for step in range(steps):
+        results.append(estimator.update(MotionReadings(**{name: values[step] for name, values in padded.items()})))
+    stacked = {
+        name: np.stack([getattr(one, name) for one in results], axis=1)
+        for name in ("velocity_base", "covariance", "height", "contact")
+    }
+    motions = []
+    for k, (trace, rows) in enumerate(zip(traces, kept, strict=True)):
+        of_row = np.searchsorted(rows, np.arange(trace.num_steps))
+        own = {name: values[k, of_row] for name, values in stacked.items()}
+        level = in_level_frame(own["velocity_base"], trace.roll_pitch_yaw)
+        variance = np.diagonal(own["covariance"], axis1=1, axis2=2)
+        motions.append(EstimatedMotion(trace.time, level, variance, own["height"], own["contact"]))
+    return motions
+
+
+def _padded(values: Array, steps: int) -> Array:
+    """Return values (T, ...) with the last row repeated up to a number of rows."""
+    return np.concatenate([values, np.repeat(values[-1:], steps - len(values), axis=0)])
+
+
+def _kept_rows(trace: EpisodeTrace) -> NDArray[np.int64]:
+    """Return the rows with readings of their own: of a missed step and the row before, the last one."""
+    rows = np.arange(trace.num_steps)
+    return rows[~np.isin(rows + 1, trace.meta.get("missed_steps", ()))]
+
+
+def _readings(trace: EpisodeTrace, rows: NDArray[np.int64]) -> dict[str, Array]:
+    torque = trace.motor_torque
+    # Only simulations know their latency.
+    if latency := trace.meta["params"].get("control_latency", 0.0):
+        torque = np.stack([np.interp(trace.time - latency, trace.time, one) for one in torque.T], axis=-1)
+    return {
+        "duration": np.diff(trace.time[rows], prepend=0.0),
+        "roll_pitch_yaw": trace.roll_pitch_yaw[rows],
+        "angular_velocity_base": trace.angular_velocity_base[rows],
+        "motor_angle": trace.motor_angle[rows],
+        "motor_velocity": trace.motor_velocity[rows],
+        "motor_torque": torque[rows],
+    }
+
+
+def in_level_frame(vector: Array, roll_pitch_yaw: Array) -> Array:
+    """Return base-frame vectors (..., 3) in the heading frame, for attitudes (..., 3) [rad]."""
+    sine, cosine = np.sin(roll_pitch_yaw), np.cos(roll_pitch_yaw)
+    (sr, sp), (cr, cp) = ((turn[..., 0], turn[..., 1]) for turn in (sine, cosine))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    below = sr * y + cr * z
+    return np.stack([cp * x + sp * below, cr * y - sr * z, cp * below - sp * x], axis=-1)
+
+
+def is_estimated(trace: EpisodeTrace) -> bool:
+    """Return whether the motion of the base in a run was estimated."""
+    return "base_position_world" in trace.meta.get("estimated", ())
+
+
+def with_estimated_motion(trace: EpisodeTrace, robot: RobotDescription) -> EpisodeTrace:
+    """Return a robot's run with the estimated motion of its base, if its motion was not measured.
+
+    The base starts at x = y = 0 with yaw 0, as with motion capture; meta says which columns are estimated. A run whose
+    motion is known, an imported log and a dry run are returned as they are.
+    """
+    known = np.isfinite(trace.base_position_world).any()
+    if known or trace.is_imported or trace.meta.get("dry_run"):
+        return trace
+    (motion,) = estimate_motion([trace], robot)
+    yaw = np.unwrap(trace.roll_pitch_yaw[:, 2])
+    yaw = yaw - yaw[0]
+    middle = (yaw + np.concatenate([yaw[:1], yaw[:-1]])) / 2
+    step = np.diff(trace.time, prepend=0.0)[:, None]
+    moved = from_heading_frame(motion.velocity[:, None, :2], middle)[:, 0] * step
+    place = np.concatenate([np.zeros((1, 2)), np.cumsum(moved, axis=0)])
+    height = np.concatenate([motion.height[:1], motion.height])
+    attitude = np.column_stack([trace.roll_pitch_yaw[:, :2], yaw])
+    quat = np.array([rpy_quat(*row) for row in attitude[[0, *range(trace.num_steps)]].tolist()])
+    return replace(
+        trace,
+        base_position_world=np.column_stack([place, height]),
+        base_quat_world=quat,
+        meta={**trace.meta, "estimated": ["base_position_world", "base_quat_world"]},
+    )
+
+
+@dataclass(frozen=True)
+class EstimationErrors:
+    """Errors of estimated motion over runs of a simulation."""
+
+    rmse: Array
+    """Root mean square errors (3,) of speeds forward, to the left and up, of means over `WINDOW` [m/s]."""
+    bias: Array
+    """Mean errors (3,) [m/s]."""
+    normalized: float
+    """Root mean square error of the horizontal velocity of single steps, over the standard deviation that the filter
+    states."""
+    distance_rmse: float
+    """Root mean square error of the path length of a run, over the mean path length."""
+    distance_bias: float
+    """Sum of the path lengths over that of the true ones, less 1."""
+
+    @classmethod
+    def from_runs(cls, traces: Sequence[EpisodeTrace], motions: Sequence[EstimatedMotion]) -> EstimationErrors:
+        """Compare estimates with the truth at the times of the readings.
+
+        Path lengths are those of the mean velocities over `WINDOW`, so that steps do not count.
+        """
+        errors, normalized, lengths = [], [], []
+        for trace, motion in zip(traces, motions, strict=True):
+            truth, count = true_motion(trace), max(round(WINDOW / trace.meta["control_step"]), 1)
+            if trace.num_steps < count:
+                continue
+            means, true_means = (window_means(velocity, count) for velocity in (motion.velocity, truth))
+            errors.append(means - true_means)
+            normalized.append((motion.velocity - truth)[:, :2] ** 2 / motion.variance[:, :2])
+            lengths.append([np.hypot(*velocity[:, :2].T).sum() * WINDOW for velocity in (means, true_means)])
+        error, (estimated, true) = np.concatenate(errors), np.array(lengths).T
+        return cls(
+            rmse=np.sqrt((error**2).mean(axis=0)),
+            bias=error.mean(axis=0),
+            normalized=float(np.sqrt(np.concatenate(normalized).mean())),
+            distance_rmse=float(np.sqrt(((estimated - true) ** 2).mean()) / true.mean()),
+            distance_bias=float(estimated.sum() / true.sum() - 1.0),
+        )
+
+
+def window_means(values: Array, count: int) -> Array:
+    """Return the means (K, ...) over consecutive windows of `count` rows; the rest is left out."""
+    whole = len(values) // count
+    return np.asarray(values[: whole * count].reshape(whole, count, *values.shape[1:]).mean(axis=1))
+
+
+def true_motion(trace: EpisodeTrace) -> Array:
+    """Return the true mean velocity between the times of readings (T, 3) [m/s] in the heading frame.
+
+    The time of the readings is that of the row less the control latency of the simulation.
+    """
+    rows = np.concatenate([[0.0], trace.time])
+    at = rows - trace.meta["params"].get("control_latency", 0.0)
+    place = np.stack([np.interp(at, rows, one) for one in trace.base_position_world.T], axis=-1)
+    yaw = np.interp(at, rows, np.unwrap(quat_yaw(trace.base_quat_world)))
+    velocity = np.diff(place, axis=0) / np.diff(rows)[:, None]
+    return in_heading_frame(velocity, (yaw[:-1] + yaw[1:]) / 2)

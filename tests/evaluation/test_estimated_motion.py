@@ -1,0 +1,97 @@
+"""Estimated motion of recorded runs, against the truth of the simulation that recorded them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from surefoot.api.policies import find_policy, load_gait
+from surefoot.evaluation.conditions import Condition
+from surefoot.evaluation.estimated_motion import (
+    DISTANCE_ERRORS,
+    EstimationErrors,
+    estimate_motion,
+    in_level_frame,
+    is_estimated,
+    true_motion,
+    with_estimated_motion,
+)
+from surefoot.evaluation.rollout import run_episodes
+from surefoot.evaluation.runs import measure_runs
+from surefoot.robot.randomization import load_ranges
+from surefoot.rotations import in_heading_frame, rpy_matrix
+from surefoot.task.trace import EpisodeTrace
+from surefoot.world.registry import find_world
+
+BLIND = ("base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle")
+
+
+def blind(trace: EpisodeTrace) -> EpisodeTrace:
+    """Return a run as a robot without motion capture records it."""
+    return replace(trace, **{name: np.full_like(getattr(trace, name), np.nan) for name in BLIND})
+
+
+@pytest.fixture(scope="module")
+def walks() -> list[EpisodeTrace]:
+    """Return three runs of Go2s from table I at 0.6 m/s, with noise and delays."""
+    policy, robot, task, _ = load_gait(find_policy("go2-steer"), None)
+    ranges = load_ranges("table1", robot=robot.folder)
+    condition = Condition(randomize=ranges, command_rows=((0.6, 0.0, 0.2),), duration=4.0)
+    return run_episodes(policy, condition.apply(task, robot), 3, find_world("mujoco"), seed=5, threads=1)
+
+
+def test_walking_robots_are_estimated_within_a_few_percent(walks):
+    robot = walks[0].load_robot()
+    errors = EstimationErrors.from_runs(walks, estimate_motion(walks, robot))
+    assert errors.rmse[:2].max() < 0.05
+    assert errors.distance_rmse < DISTANCE_ERRORS["trot"]
+    # The true motion that it is compared with is that of the runs: about what was commanded.
+    assert np.mean([true_motion(trace)[50:, 0].mean() for trace in walks]) == pytest.approx(0.6, abs=0.1)
+
+
+def test_runs_of_a_batch_are_estimated_as_alone(walks):
+    robot = walks[0].load_robot()
+    together, (alone,) = estimate_motion(walks, robot), estimate_motion(walks[1:2], robot)
+    np.testing.assert_allclose(together[1].velocity, alone.velocity, rtol=1e-9, atol=1e-12)
+    assert len(together[1].velocity) == walks[1].num_steps
+
+
+def test_a_run_without_motion_capture_gets_one_that_is_marked(walks):
+    robot = walks[0].load_robot()
+    estimated = with_estimated_motion(blind(walks[0]), robot)
+    assert is_estimated(estimated)
+    assert not is_estimated(walks[0])
+    assert with_estimated_motion(walks[0], robot) is walks[0]
+    start, end = walks[0].base_position_world[[0, -1]]
+    path = 0.6 * walks[0].duration
+    # It began at the origin, heading along x.
+    np.testing.assert_allclose(
+        estimated.base_position_world[-1, :2], (end - start)[:2], atol=2 * DISTANCE_ERRORS["trot"] * path
+    )
+    np.testing.assert_allclose(
+        estimated.base_position_world[5:, 2].mean(), walks[0].base_position_world[5:, 2].mean(), atol=0.03
+    )
+    speeds = [measure_runs([trace]).speed[0] for trace in (walks[0], estimated)]
+    assert speeds[1] == pytest.approx(speeds[0], rel=2 * DISTANCE_ERRORS["trot"])
+
+
+def test_rows_of_missed_steps_do_not_change_the_distance(walks):
+    robot, missed = walks[0].load_robot(), [100, 101, 150]
+    names = ("roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity", "motor_torque")
+    columns = {name: getattr(walks[0], name).copy() for name in names}
+    for values in columns.values():
+        # Of a missed step and the row before, all have the readings of the last one.
+        values[99:101], values[149] = values[101], values[150]
+    holed = replace(walks[0], **columns, meta={**walks[0].meta, "missed_steps": missed})
+    whole, patched = (estimate_motion([trace], robot)[0].velocity for trace in (walks[0], holed))
+    assert patched[:, 0].sum() == pytest.approx(whole[:, 0].sum(), rel=0.01)
+    np.testing.assert_array_equal(patched[99], patched[101])
+
+
+def test_the_level_frame_is_the_heading_frame_of_the_world():
+    random = np.random.default_rng(0)
+    vector, attitude = random.normal(size=(5, 3)), random.uniform(-1, 1, (5, 3))
+    world = np.array([rpy_matrix(*turn) @ one for one, turn in zip(vector, attitude, strict=True)])
+    np.testing.assert_allclose(in_level_frame(vector, attitude), in_heading_frame(world, attitude[:, 2]), atol=1e-12)
