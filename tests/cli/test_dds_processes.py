@@ -127,13 +127,13 @@ def test_messages_of_another_robot_type_are_rejected(tmp_path: Path) -> None:
     done = run_surefoot("deploy", "go2-steer", *link(EMPTY))
     del writer
     other.close()  # a process has one domain
-    assert_rejected(done, "rt/lowstate is of type", "unitree_hg", types.GO_LOW_STATE)
+    assert_rejected(done, "rt/lowstate has type", "unitree_hg", types.GO_LOW_STATE)
 
 
 def test_messages_of_another_length_are_rejected(body: Go2) -> None:
     body.set(short=True)
     assert_rejected(
-        run_surefoot("deploy", "go2-steer", *link(DOMAIN)), "no state of a Go2 comes on rt/lowstate", "bytes"
+        run_surefoot("deploy", "go2-steer", *link(DOMAIN)), "no state of a Go2 arrives on rt/lowstate", "bytes"
     )
     assert body.read() == []
     body.reset()

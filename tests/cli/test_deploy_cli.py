@@ -169,7 +169,7 @@ def test_a_policy_observes_the_step_in_front_of_an_emulated_robot(seeing: Path, 
     ground = ("--terrain", tmp_path / "step.npz", "--height-map", port, *exact, "--out", capture)
     with emulators() as start:
         words = ("deploy", seeing, "--port", start(*robot, *ground).port, "--lockstep", "--out", tmp_path / "out")
-        assert_rejected(surefoot(*words), "policy 'seeing' sees the ground; give --height-map PORT")
+        assert_rejected(surefoot(*words), "policy 'seeing' needs a height map; give --height-map PORT")
         done = surefoot(*words, "--height-map", port, "--duration", "0.5", "--json")
     assert done.returncode == 0, done.stderr
     (run,) = json.loads(done.stdout)["runs"]

@@ -75,7 +75,7 @@ def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> Non
         result = surefoot(*SEARCH, "--trials", "3", "--ray", nodes.address, "--resume", cwd=tmp_path)
         assert result.returncode == 0, result.stderr
         assert result.stderr == ""
-        assert "trials.log: the last record was cut off and is removed" in result.stdout
+        assert "trials.log: removed the last record, which was incomplete" in result.stdout
     check(tmp_path, 3)
     check_same(tmp_path, int(lost))
     check_report(tmp_path / "out", 3)

@@ -59,7 +59,7 @@ function showOptions(message) {
     `${labelOf(message.policy)} follows no commands: it was trained for one gait and speed. Select a policy with velocity commands to steer.`;
   $("key").replaceChildren(...(message.ghost ? [["", message.policy], ["other", message.ghost]] : []).map(([kind, name]) =>
     element("div", {}, element("span", {}, element("i", { className: `dot ${kind}` }), labelOf(name)))));
-  showKnobs(message.knobs, message.driver); showForce(); showRecording(shownRecording);
+  showParameters(message.live_parameters, message.driver); showForce(); showRecording(shownRecording);
 }
 // Terrain: each kind has [unit, meaning, minimum, maximum, step, initial value] of its size; flat ground and maps have no size.
 function fillTerrains({ terrains, terrain }) {
@@ -74,44 +74,44 @@ $("size").oninput = showSize;
 $("size").onchange = () => send({ terrain: [$("terrain").value, +$("size").value] });
 $("terrain").onchange = event => { send({ terrain: [event.target.value] }); event.target.blur(); };
 // Sliders in groups. A row is built once, and shows the value in the simulation.
-let knobKey = "", rows = {};
+let parameterKey = "", rows = {};
 const compact = value => `${+value.toPrecision(4)}`;
-function showKnobs(knobs, driver) {
-  const key = JSON.stringify([knobs.map(knob => [knob.name, knob.nominal]), driver]);
-  if (key !== knobKey) {
-    const open = new Set([...$("knobs").querySelectorAll("details[open]")].map(one => one.dataset.group));
-    if (!knobKey && innerWidth > 760) open.add("body");
-    knobKey = key; rows = {};
-    const groups = [...new Set(knobs.map(knob => knob.group))].map(group => {
+function showParameters(parameters, driver) {
+  const key = JSON.stringify([parameters.map(parameter => [parameter.name, parameter.nominal]), driver]);
+  if (key !== parameterKey) {
+    const open = new Set([...$("parameter-groups").querySelectorAll("details[open]")].map(one => one.dataset.group));
+    if (!parameterKey && innerWidth > 760) open.add("body");
+    parameterKey = key; rows = {};
+    const groups = [...new Set(parameters.map(parameter => parameter.group))].map(group => {
       const whole = element("details", { open: open.has(group) }, element("summary", { textContent: group }, element("small")));
       whole.dataset.group = group;
-      whole.append(...knobs.filter(knob => knob.group === group).map(knob => knobRow(knob, driver, whole)));
+      whole.append(...parameters.filter(parameter => parameter.group === group).map(parameter => parameterRow(parameter, driver, whole)));
       return whole;
     });
-    $("knobs").replaceChildren(...groups);
+    $("parameter-groups").replaceChildren(...groups);
   }
-  for (const knob of knobs) rows[knob.name].show(knob.value);
+  for (const parameter of parameters) rows[parameter.name].show(parameter.value);
 }
-function knobRow(knob, driver, whole) {
-  const reach = knob.nominal ? 10 * Math.abs(knob.nominal) : knob.high - knob.low;
-  const id = `k-${knob.name}`, unit = knob.unit.replace("x ", "× ");
-  const slide = element("input", { type: "range", step: "any", name: knob.name, disabled: !driver, id });
-  slide.min = Math.max(knob.low, knob.nominal - reach); slide.max = Math.min(knob.high, knob.nominal + reach);
-  const number = element("input", { type: "number", step: "any", min: knob.low, max: knob.high, disabled: !driver });
-  const back = element("button", { textContent: "↺", title: `nominal: ${compact(knob.nominal)}`, disabled: !driver });
-  number.setAttribute("aria-label", `${knob.label}, number`); back.setAttribute("aria-label", `${knob.label}: nominal value`);
-  const name = element("label", { htmlFor: id, title: `${knob.name}: ${knob.meaning}; ${knob.low} to ${knob.high}` }, knob.label, element("small", { textContent: unit ? ` [${unit}]` : "" }));
+function parameterRow(parameter, driver, whole) {
+  const reach = parameter.nominal ? 10 * Math.abs(parameter.nominal) : parameter.high - parameter.low;
+  const id = `k-${parameter.name}`, unit = parameter.unit.replace("x ", "× ");
+  const slide = element("input", { type: "range", step: "any", name: parameter.name, disabled: !driver, id });
+  slide.min = Math.max(parameter.low, parameter.nominal - reach); slide.max = Math.min(parameter.high, parameter.nominal + reach);
+  const number = element("input", { type: "number", step: "any", min: parameter.low, max: parameter.high, disabled: !driver });
+  const back = element("button", { textContent: "↺", title: `nominal: ${compact(parameter.nominal)}`, disabled: !driver });
+  number.setAttribute("aria-label", `${parameter.label}, number`); back.setAttribute("aria-label", `${parameter.label}: nominal value`);
+  const name = element("label", { htmlFor: id, title: `${parameter.name}: ${parameter.meaning}; ${parameter.low} to ${parameter.high}` }, parameter.label, element("small", { textContent: unit ? ` [${unit}]` : "" }));
   const row = element("div", { className: "set" }, name, slide, number, back);
   const mark = value => {
-    row.classList.toggle("changed", Math.abs(value - knob.nominal) > 1e-9 + 1e-6 * Math.abs(knob.nominal));
+    row.classList.toggle("changed", Math.abs(value - parameter.nominal) > 1e-9 + 1e-6 * Math.abs(parameter.nominal));
     const count = whole.querySelectorAll(".changed").length;
     whole.querySelector("summary small").textContent = count ? `${count} changed` : "";
   };
-  const set = value => { if (Number.isFinite(value)) { send({ set: [knob.name, value] }); mark(value); } };
+  const set = value => { if (Number.isFinite(value)) { send({ set: [parameter.name, value] }); mark(value); } };
   slide.oninput = () => { number.value = compact(+slide.value); set(+slide.value); };
   number.onchange = () => { slide.value = number.value; set(parseFloat(number.value)); };
-  back.onclick = () => { slide.value = knob.nominal; number.value = compact(knob.nominal); set(knob.nominal); };
-  rows[knob.name] = { show: value => {
+  back.onclick = () => { slide.value = parameter.nominal; number.value = compact(parameter.nominal); set(parameter.nominal); };
+  rows[parameter.name] = { show: value => {
     if (![slide, number].includes(document.activeElement) || !row.matches(":active")) { slide.value = value; number.value = compact(value); }
     mark(value);
   } };
