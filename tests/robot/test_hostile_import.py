@@ -71,7 +71,7 @@ def test_expanding_models_end_within_limits(text: str, tmp_path: Path):
     path.write_text(text)
     start = time.monotonic()
     with pytest.raises(
-        SurefootError, match=r"dog\.xml: can't be read within 1 GiB and 3 s \(it ran out of (time|memory)"
+        SurefootError, match=r"dog\.xml: can't be read within 1 GiB and 3 s \((it ran out of time|its memory)"
     ) as error:
         read_robot(path, limits=QUICK)
     assert "\n" not in str(error.value)
