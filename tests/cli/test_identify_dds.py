@@ -17,7 +17,7 @@ from go2_robot import worker_domain
 from surefoot.identify.recording import COMPLETE
 
 DOMAIN = worker_domain(200)
-SHORT = {"ALONE": 1.5, "TOGETHER": 4.0, "CHECK": 2.0}
+SHORT = {"SINGLE_TIME": 1.5, "COMBINED_TIME": 4.0, "CHECK_TIME": 2.0}
 """Lengths of the chirps [s]: a third of those that ship."""
 TRUTH = {"control_latency": 0.014, "rotor_inertia": 0.030, "motor_friction": 0.4}
 PASSING_ON = 0.004
