@@ -121,7 +121,9 @@ def check_same(folder: Path, number: int) -> None:
 
 def check_report(out: Path, trials: int) -> None:
     report = (out / "README.md").read_text()
-    assert f"{trials} trials ({trials} complete) of {STEPS:,} control steps, 8 episodes per evaluation, seed 5" in report
+    assert (
+        f"{trials} trials ({trials} complete) of {STEPS:,} control steps, 8 episodes per evaluation, seed 5" in report
+    )
     assert "surefoot study search tiny.yaml --space space.yaml" in report
     assert "Claimed less fresh, mean of these 3: " in report
     gaits = re.findall(r"\((gait_\w+\.png)\)", report)
