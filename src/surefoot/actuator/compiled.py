@@ -7,7 +7,8 @@ for a zero divisor. Together this raised the speed of a world of 64 to 256 robot
 bare speed.
 
 numba caches compiled functions next to their source and checks only the age of that file. A loop that inlines a kernel
-of another module would keep the old kernel after an edit. Therefore, all caches are deleted whenever a source changes.
+of another module would keep the old kernel after an edit, and a cache that names a class which was renamed can't be
+read. Therefore, all caches are deleted whenever a source changes.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from numba import njit
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parents[1]
-_FOLDERS = [_PACKAGE / "actuator", _PACKAGE / "world"]
+_FOLDERS = [_PACKAGE / name for name in ("actuator", "world", "emulator", "report/drawing")]
 """Folders with compiled kernels."""
 
 
@@ -34,7 +35,7 @@ def kernel(function: Function) -> Function:
 
 def kernel_sources() -> list[Path]:
     """Return the source files of the kernels, and of the constants and functions that they use."""
-    folders = [_PACKAGE, *(_PACKAGE / name for name in ("actuator", "robot", "world"))]
+    folders = [_PACKAGE, *(_PACKAGE / name for name in ("actuator", "robot", "world", "emulator", "report/drawing"))]
     return sorted(path for folder in folders for path in folder.glob("*.py"))
 
 
