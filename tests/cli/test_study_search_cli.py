@@ -125,7 +125,7 @@ def check_report(out: Path, trials: int) -> None:
         f"{trials} trials ({trials} complete) of {STEPS:,} control steps, 8 episodes per evaluation, seed 5" in report
     )
     assert "surefoot study search tiny.yaml --space space.yaml" in report
-    assert "Claimed less fresh, mean of these 3: " in report
+    assert "Claimed minus fresh, mean of these 3: " in report
     gaits = re.findall(r"\((gait_\w+\.png)\)", report)
     assert gaits
     for name in ("search.png", "parameters.png", *gaits):
