@@ -89,7 +89,7 @@ def test_every_trial_is_finished_once_after_processes_die(tmp_path: Path) -> Non
     assert [(tmp_path / "out" / name).read_text() for name in tables] == before
     assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/trials/*/evaluations/fresh_*.json")} == fresh
     assert_rejected(
-        surefoot(*SEARCH, cwd=tmp_path), "out: holds a search; go on with it by --resume, or give another --out"
+        surefoot(*SEARCH, cwd=tmp_path), "out: already has a search; resume it with --resume, or choose another --out"
     )
 
 
