@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import csv
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,14 +23,17 @@ import numpy as np
 import tyro
 
 from surefoot.api.policies import find_policy, load_gait
+from surefoot.arrays import Array
 from surefoot.estimation.interface import MotionReadings
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.evaluation.conditions import Condition
-from surefoot.evaluation.estimated_motion import EstimationErrors, estimate_motion
+from surefoot.evaluation.estimated_motion import EstimatedMotion, estimate_motion
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
+from surefoot.rotations import in_heading_frame, quat_yaw
 from surefoot.tables import write_csv
+from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
 RESULTS = Path(__file__).parents[1] / "results" / "estimation"
@@ -46,6 +49,8 @@ DURATION = 10.0
 """Length of an episode [s]."""
 STEPS = 2000
 """Updates of which the median time is taken."""
+WINDOW = 0.5
+"""Time [s] over which errors of the velocity are averaged: about a stride."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,66 @@ class Command:
     cost: bool = False
     """Measure the time of an update of one robot only."""
     out: Path = RESULTS
+
+
+@dataclass(frozen=True)
+class EstimationErrors:
+    """Errors of estimated motion over runs of a simulation."""
+
+    rmse: Array
+    """Root mean square errors (3,) of speeds forward, to the left and up, of means over `WINDOW` [m/s]."""
+    bias: Array
+    """Mean errors (3,) [m/s]."""
+    normalized: float
+    """Root mean square error of the horizontal velocity of single steps, over the standard deviation that the filter
+    states."""
+    distance_rmse: float
+    """Root mean square error of the path length of a run, over the mean path length."""
+    distance_bias: float
+    """Ratio of the sum of estimated path lengths to the sum of true ones, minus 1."""
+
+    @classmethod
+    def from_runs(cls, traces: Sequence[EpisodeTrace], motions: Sequence[EstimatedMotion]) -> EstimationErrors:
+        """Compare estimates with the truth at the times of the readings.
+
+        Path lengths come from the mean velocities over `WINDOW`, so that steps do not count.
+        """
+        errors, normalized, lengths = [], [], []
+        for trace, motion in zip(traces, motions, strict=True):
+            truth, count = true_motion(trace), max(round(WINDOW / trace.meta["control_step"]), 1)
+            if trace.num_steps < count:
+                continue
+            means, true_means = (window_means(velocity, count) for velocity in (motion.velocity, truth))
+            errors.append(means - true_means)
+            normalized.append((motion.velocity - truth)[:, :2] ** 2 / motion.variance[:, :2])
+            lengths.append([np.hypot(*velocity[:, :2].T).sum() * WINDOW for velocity in (means, true_means)])
+        error, (estimated, true) = np.concatenate(errors), np.array(lengths).T
+        return cls(
+            rmse=np.sqrt((error**2).mean(axis=0)),
+            bias=error.mean(axis=0),
+            normalized=float(np.sqrt(np.concatenate(normalized).mean())),
+            distance_rmse=float(np.sqrt(((estimated - true) ** 2).mean()) / true.mean()),
+            distance_bias=float(estimated.sum() / true.sum() - 1.0),
+        )
+
+
+def window_means(values: Array, count: int) -> Array:
+    """Return the means (K, ...) over consecutive windows of `count` rows; the rest is left out."""
+    whole = len(values) // count
+    return np.asarray(values[: whole * count].reshape(whole, count, *values.shape[1:]).mean(axis=1))
+
+
+def true_motion(trace: EpisodeTrace) -> Array:
+    """Return the true mean velocity between the times of readings (T, 3) [m/s] in the heading frame.
+
+    Readings were taken one control latency of the simulation before the time of their row.
+    """
+    rows = np.concatenate([[0.0], trace.time])
+    at = rows - trace.meta["params"].get("control_latency", 0.0)
+    place = np.stack([np.interp(at, rows, one) for one in trace.base_position_world.T], axis=-1)
+    yaw = np.interp(at, rows, np.unwrap(quat_yaw(trace.base_quat_world)))
+    velocity = np.diff(place, axis=0) / np.diff(rows)[:, None]
+    return in_heading_frame(velocity, (yaw[:-1] + yaw[1:]) / 2)
 
 
 def measure(name: str, world: str, episodes: int, seed: int, threads: int) -> dict[str, Any]:

@@ -93,18 +93,9 @@ def write_unnormalized_policy(path: Path, make_run: MakeRun) -> None:
 
 
 def write_their_network(path: Path, make_run: MakeRun) -> None:
-    from third_party_policies import perceptron
+    from third_party_policies import MJLAB_PROPERTIES, perceptron
 
-    joints = [f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
-    properties = {
-        "joint_names": ",".join(joints),
-        "joint_stiffness": ",".join(["20.000"] * 12),
-        "joint_damping": ",".join(["0.500"] * 12),
-        "default_joint_pos": ",".join(["0.000,0.800,-1.500"] * 4),
-        "action_scale": "0.010",
-        "observation_names": "base_ang_vel,projected_gravity,joint_pos,joint_vel,actions,command",
-    }
-    path.write_bytes(perceptron(45, properties=properties))
+    path.write_bytes(perceptron(45, properties=MJLAB_PROPERTIES))
 
 
 def resting_run(**meta: Any) -> Callable[[Path, MakeRun], object]:

@@ -17,7 +17,17 @@ GYM_ORDER = [3, 4, 5, 0, 1, 2, 9, 10, 11, 6, 7, 8]
 LAB_ORDER = [3, 0, 9, 6, 4, 1, 10, 7, 5, 2, 11, 8]
 """Motors of Isaac Lab's joints: all hips, all thighs, all calves."""
 POSE = np.array([0.1, -0.1, 0.1, -0.1, 0.8, 0.8, 1.0, 1.0, -1.5, -1.5, -1.5, -1.5])
-
+MJLAB_PROPERTIES = {
+    "joint_names": ",".join(
+        f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")
+    ),
+    "joint_stiffness": ",".join(["20.000"] * 12),
+    "joint_damping": ",".join(["0.500"] * 12),
+    "default_joint_pos": ",".join(["0.000,0.800,-1.500"] * 4),
+    "action_scale": "0.010",
+    "observation_names": "base_ang_vel,projected_gravity,joint_pos,joint_vel,actions,command",
+}
+"""Metadata of a policy file of mjlab."""
 DEPLOY = {
     "joint_ids_map": LAB_ORDER,
     "step_dt": 0.02,

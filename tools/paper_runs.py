@@ -188,16 +188,15 @@ def script(runs: PaperRuns, name: str, *words: object) -> None:
         raise SurefootError(f"{path}: ended with exit code {code}")
 
 
-def open_loop(runs: PaperRuns) -> None:
-    """Run the reference trot without feedback in every world."""
-    small = runs.quick_options("--episodes", 2)
-    script(runs, "examples/open_loop.py", "trot", "--out", "results/open_loop.csv", *small)
+def open_loop(task: str, name: str) -> Stage:
+    """Run the reference of a task without feedback in every world."""
+    makes = f"results/{name}.csv"
 
+    def make(runs: PaperRuns) -> None:
+        small = runs.quick_options("--episodes", 2)
+        script(runs, "examples/open_loop.py", task, "--out", makes, *small)
 
-def open_loop_cosine(runs: PaperRuns) -> None:
-    """Run the reference of the paper's published code without feedback in every world."""
-    small = runs.quick_options("--episodes", 2)
-    script(runs, "examples/open_loop.py", "trot-cosine", "--out", "results/open_loop_cosine.csv", *small)
+    return Stage(makes, make)
 
 
 def handcrafted(runs: PaperRuns) -> None:
@@ -219,8 +218,8 @@ STAGES = (
     Stage("results/motor.json", motor_figure),
     *(train(task, steps) for task, steps in zip(POLICIES, (800_000, 300_000, 400_000, 800_000), strict=True)),
     Stage("results/evaluations.csv", evaluations),
-    Stage("results/open_loop.csv", open_loop),
-    Stage("results/open_loop_cosine.csv", open_loop_cosine),
+    open_loop("trot", "open_loop"),
+    open_loop("trot-cosine", "open_loop_cosine"),
     Stage("docs/pushes.png", pushes_figure),
     study(
         "reality-gap", 60_000, "baseline", "baseline_pushes", "improved_pushes", "small_randomized", "large_randomized"

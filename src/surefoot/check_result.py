@@ -1,4 +1,4 @@
-"""Results of checks, such as those of `surefoot doctor`, and helpers that make them."""
+"""Results of checks, such as the checks of `surefoot doctor`, and helpers that make them."""
 
 from __future__ import annotations
 

@@ -78,6 +78,21 @@ def from_heading_frame(points: Array, yaw: Array) -> Array:
     return np.stack([cos * x - sin * y, sin * x + cos * y], axis=-1)
 
 
+def up_direction(roll_pitch_yaw: Array) -> Array:
+    """Return the unit vector away from the ground in the base frame (..., 3): (0, 0, 1) for a level base."""
+    roll, pitch = roll_pitch_yaw[..., 0], roll_pitch_yaw[..., 1]
+    return np.stack([-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], axis=-1)
+
+
+def from_base_frame(vector: Array, roll_pitch_yaw: Array) -> Array:
+    """Rotate vectors (..., 3) from the base frame to the heading frame, for attitudes (..., 3) [rad]."""
+    sine, cosine = np.sin(roll_pitch_yaw), np.cos(roll_pitch_yaw)
+    (sr, sp), (cr, cp) = ((angle[..., 0], angle[..., 1]) for angle in (sine, cosine))
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    y, z = cr * y - sr * z, sr * y + cr * z
+    return np.stack([cp * x + sp * z, y, cp * z - sp * x], axis=-1)
+
+
 def quat_matrix(quat: ArrayLike) -> Array:
     """Return the rotation matrices (..., 3, 3) of unit quaternions (..., 4), w x y z."""
     w, x, y, z = np.moveaxis(np.asarray(quat, float), -1, 0)

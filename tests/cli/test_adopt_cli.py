@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("torch")
 pytest.importorskip("mujoco")
 
-from third_party_policies import perceptron
+from third_party_policies import MJLAB_PROPERTIES, perceptron
 
 from surefoot.adopt.adoption import FORMATS
 from surefoot.adopt.exporting import EXPORTERS
@@ -20,21 +20,11 @@ from surefoot.cli.export import ExportCommand
 from surefoot.cli.main import main
 from surefoot.policy.runtime import PolicyRuntime
 
-JOINTS = [f"{leg}_{part}_joint" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
-PROPERTIES = {
-    "joint_names": ",".join(JOINTS),
-    "joint_stiffness": ",".join(["20.000"] * 12),
-    "joint_damping": ",".join(["0.500"] * 12),
-    "default_joint_pos": ",".join(["0.000,0.800,-1.500"] * 4),
-    "action_scale": "0.010",
-    "observation_names": "base_ang_vel,projected_gravity,joint_pos,joint_vel,actions,command",
-}
-
 
 @pytest.fixture
 def network(tmp_path):
     path = tmp_path / "theirs.onnx"
-    path.write_bytes(perceptron(45, properties=PROPERTIES))
+    path.write_bytes(perceptron(45, properties=MJLAB_PROPERTIES))
     return path
 
 

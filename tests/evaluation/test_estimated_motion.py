@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import runpy
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,20 +14,18 @@ from surefoot.api.policies import find_policy, load_gait
 from surefoot.evaluation.conditions import Condition
 from surefoot.evaluation.estimated_motion import (
     DISTANCE_ERRORS,
-    EstimationErrors,
     estimate_motion,
-    in_level_frame,
     is_estimated,
-    true_motion,
     with_estimated_motion,
 )
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot.randomization import load_ranges
-from surefoot.rotations import in_heading_frame, rpy_matrix
+from surefoot.rotations import from_base_frame, in_heading_frame, rpy_matrix
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
+benchmark = SimpleNamespace(**runpy.run_path(str(Path(__file__).parents[2] / "benchmarks" / "velocity_estimation.py")))
 BLIND = ("base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle")
 
 
@@ -44,11 +45,11 @@ def walks() -> list[EpisodeTrace]:
 
 def test_walking_robots_are_estimated_within_a_few_percent(walks):
     robot = walks[0].load_robot()
-    errors = EstimationErrors.from_runs(walks, estimate_motion(walks, robot))
+    errors = benchmark.EstimationErrors.from_runs(walks, estimate_motion(walks, robot))
     assert errors.rmse[:2].max() < 0.05
     assert errors.distance_rmse < DISTANCE_ERRORS["trot"]
     # The true motion that it is compared with is that of the runs: about what was commanded.
-    assert np.mean([true_motion(trace)[50:, 0].mean() for trace in walks]) == pytest.approx(0.6, abs=0.1)
+    assert np.mean([benchmark.true_motion(trace)[50:, 0].mean() for trace in walks]) == pytest.approx(0.6, abs=0.1)
 
 
 def test_runs_of_a_batch_are_estimated_as_alone(walks):
@@ -94,4 +95,4 @@ def test_the_level_frame_is_the_heading_frame_of_the_world():
     random = np.random.default_rng(0)
     vector, attitude = random.normal(size=(5, 3)), random.uniform(-1, 1, (5, 3))
     world = np.array([rpy_matrix(*turn) @ one for one, turn in zip(vector, attitude, strict=True)])
-    np.testing.assert_allclose(in_level_frame(vector, attitude), in_heading_frame(world, attitude[:, 2]), atol=1e-12)
+    np.testing.assert_allclose(from_base_frame(vector, attitude), in_heading_frame(world, attitude[:, 2]), atol=1e-12)

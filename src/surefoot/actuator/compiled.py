@@ -35,8 +35,7 @@ def kernel(function: Function) -> Function:
 
 def kernel_sources() -> list[Path]:
     """Return the source files of the kernels, and of the constants and functions that they use."""
-    folders = [_PACKAGE, *(_PACKAGE / name for name in ("actuator", "robot", "world", "emulator", "report/drawing"))]
-    return sorted(path for folder in folders for path in folder.glob("*.py"))
+    return sorted(path for folder in (_PACKAGE, _PACKAGE / "robot", *_FOLDERS) for path in folder.glob("*.py"))
 
 
 def drop_stale_caches() -> None:

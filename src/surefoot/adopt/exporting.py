@@ -30,6 +30,7 @@ from surefoot.policy.graph import Graph, Value
 from surefoot.policy.network import INPUT, OUTPUT
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
+from surefoot.rotations import up_direction
 
 _PHYSICS_STEP = 0.005
 """Time between two commands to the motors in rl_sar [s]."""
@@ -339,9 +340,8 @@ def _compare(policy: PolicyRuntime, made: _Exported, robot: RobotDescription, to
     for _ in range(contract.history):
         tilt = random.uniform(-0.5, 0.5, (_SAMPLES, 2))
         roll, pitch = tilt.T
-        gravity = np.stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)], axis=1)
         terms = {
-            "gravity": gravity,
+            "gravity": -up_direction(tilt),
             "angular_velocity": random.normal(size=(_SAMPLES, 3)),
             "command": random.uniform(-0.4, 0.4, (_SAMPLES, 3)),
             "joint_positions": random.normal(scale=0.2, size=(_SAMPLES, count)),

@@ -57,7 +57,7 @@ def standing_note(summary: dict[str, Any], reward: Mapping[str, float]) -> str |
     terms = [f"{name} {weight:g}" for name, weight in sorted(reward.items(), key=lambda one: -one[1]) if weight]
     return (
         f"the policy learned to stand: moving costs more reward than it earns ({', '.join(terms)}); reduce the weights "
-        "of costs, or increase those of progress; see docs/troubleshooting.md"
+        "of costs, or increase the weights of progress; see docs/troubleshooting.md"
     )
 
 

@@ -75,7 +75,7 @@ def main(argv: list[str]) -> int:
     print(f"{timing['rows']} rows, {timing['seconds']:.2f} s; steps of {steps[0]:.2f} to {steps[2]:.2f} ms, ", end="")
     print(f"median {steps[1]:.2f}")
     print(f"{100 * timing['repeated_times']:.1f} % of the times and ", end="")
-    print(f"{100 * timing['repeated_readings']:.1f} % of the readings equal those of the previous row; they are kept")
+    print(f"{100 * timing['repeated_readings']:.1f} % of the readings equal the previous row's; they are kept")
     if missing:
         print(f"missing: {choices(missing)}")
     for note in notes:

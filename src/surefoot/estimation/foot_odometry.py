@@ -11,7 +11,7 @@ of the distance. Derivatives are differences between two readings, so that v is 
 its sum the distance.
 
 The force f of the ground on a foot follows from the motor torques t and the Jacobian J of the foot, with the inertia I
-of the rotors; that of the links is left out:
+of the rotors; the inertia of the links is left out:
 
     J^T f = -(t - I q'')
 """
@@ -26,12 +26,11 @@ from surefoot.arrays import Array
 from surefoot.estimation.interface import MotionReadings
 from surefoot.robot import FiveBar, RobotDescription
 from surefoot.robot.leg import Legs
+from surefoot.rotations import up_direction
 
 SINGULAR = 1e-3
 """Singular value of a Jacobian, over the length of the leg, at which its inverse is bounded: near a straight leg
 torques say nothing about the force along it."""
-
-
 DIFFERENCE = 1e-4
 """Difference of motor angles [rad] with which the Jacobians are taken."""
 
@@ -57,14 +56,6 @@ def foot_radii(robot: RobotDescription) -> Array:
     links = robot.urdf.links
     spheres = [[shape.size[0] for shape in links[leg.foot].collisions if shape.kind == "sphere"] for leg in robot.legs]
     return np.array([radii[0] if radii else 0.0 for radii in spheres])
-
-
-def up_direction(roll_pitch_yaw: Array) -> Array:
-    """Return the direction away from the ground in the base frame (N, 3), a unit vector; (0, 0, 1) of a level base."""
-    sine, cosine, up = np.sin(roll_pitch_yaw), np.cos(roll_pitch_yaw), np.empty(roll_pitch_yaw.shape)
-    level = cosine[:, 1]
-    up[:, 0], up[:, 1], up[:, 2] = -sine[:, 1], sine[:, 0] * level, cosine[:, 0] * level
-    return up
 
 
 def cross(one: Array, other: Array) -> Array:
@@ -105,7 +96,8 @@ class FootOdometry:
             for values in (readings.motor_angle, readings.motor_velocity, readings.motor_torque)
         )
         rate, duration = readings.angular_velocity_base, readings.duration[:, None, None]
-        # All at once: on a robot the number of operations counts, not their size.
+        # With `Legs.jacobian` an update takes half as long again: for one robot the number of operations counts, not
+        # their size.
         places = self._legs.foot_position(angles + self._changes)
         link, jacobian = self._legs.foot_link_angles(angles, places[0]), (places[1:] - places[0]) / DIFFERENCE
         centre = places[0] + self._mounts

@@ -9,7 +9,7 @@ position of the base and of its footholds is left out: nothing measures it, and 
 
 The load on a foot says how likely it stands. A foot that slips, or swings with a load, is rejected by its distance d
 from the others and from the prediction: weights are (1 + d^2 / c)^-2, the function of Geman and McClure (1987), found
-by iteration from those of the loads.
+by iteration, beginning with the weights from the loads.
 """
 
 from __future__ import annotations
@@ -81,10 +81,10 @@ class LeggedOdometry:
         """Take the readings of a control step and return the estimate for their time."""
         feet = self._odometry.update(readings)
         implied, standing = feet.velocity, _standing(feet, readings.expected_load)
-        known = np.isfinite(implied)
-        if not known.all():  # a leg that can't close
-            standing = np.where(known.all(axis=-1), standing, 0.0)
-            implied = np.where(known, implied, 0.0)
+        finite = np.isfinite(implied)
+        if not finite.all():  # a leg that can't close
+            standing = np.where(finite.all(axis=-1), standing, 0.0)
+            implied = np.where(finite, implied, 0.0)
         self._predict(readings, feet.up, standing)
         contact = self._correct(implied, standing)
         self._update_height(readings.duration, feet, contact)
@@ -106,10 +106,10 @@ class LeggedOdometry:
         """Correct the velocity by what feet imply (N, L, 3); return the probability that each stands and rolls."""
         # In units of the noise of a foot.
         information, weight = self._foot_variance / self._variance, standing
-        known, limit = information * self._velocity, DEGREES * self._foot_variance
+        prior, limit = information * self._velocity, DEGREES * self._foot_variance
         for _ in range(REWEIGHTINGS + 1):
             total = information + weight.sum(axis=1)[:, None]
-            velocity = (known + (weight[:, None] @ implied)[:, 0]) / total
+            velocity = (prior + (weight[:, None] @ implied)[:, 0]) / total
             error = implied - velocity[:, None]
             weight = standing * (limit / (limit + (error * error).sum(axis=-1))) ** 2
         self._velocity, self._variance = velocity, self._foot_variance / total
@@ -128,9 +128,9 @@ class LeggedOdometry:
 
 def _standing(feet: FootObservations, expected: Array | None) -> Array:
     """Return the probability that each foot stands (N, L), from its load; without torques, from the expected load."""
-    load, known = feet.load, np.isfinite(feet.load)
-    if not known.all():
-        # As likely as not, where nothing is known of the load.
+    load, finite = feet.load, np.isfinite(feet.load)
+    if not finite.all():
+        # Where nothing is known about the load, a foot stands as likely as not.
         otherwise = STANDING_LOAD if expected is None else expected * load.shape[1]
-        load = np.where(known, load, otherwise)
+        load = np.where(finite, load, otherwise)
     return np.asarray(1.0 / (1.0 + np.exp(np.minimum((STANDING_LOAD - load) / LOAD_WIDTH, 50.0))))

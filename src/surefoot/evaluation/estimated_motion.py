@@ -1,4 +1,4 @@
-"""Motion of the base in recorded runs, estimated from the robot's own readings, and its error in simulation."""
+"""Motion of the base in recorded runs, estimated from the robot's own readings."""
 
 from __future__ import annotations
 
@@ -12,11 +12,9 @@ from surefoot.arrays import Array
 from surefoot.estimation.interface import MotionReadings, VelocityEstimator
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.robot import RobotDescription
-from surefoot.rotations import from_heading_frame, in_heading_frame, quat_yaw, rpy_quat
+from surefoot.rotations import from_base_frame, from_heading_frame, rpy_quat
 from surefoot.task.trace import EpisodeTrace
 
-WINDOW = 0.5
-"""Time [s] over which errors of the velocity are averaged: about a stride."""
 DISTANCE_ERRORS = {"trot": 0.03, "gallop": 0.09}
 """Root mean square errors of the distance of runs, relative, by gait: in simulation with the ranges of table I."""
 NOTE = (
@@ -68,7 +66,7 @@ def estimate_motion(
     for k, (trace, rows) in enumerate(zip(traces, kept, strict=True)):
         of_row = np.searchsorted(rows, np.arange(trace.num_steps))
         own = {name: values[k, of_row] for name, values in stacked.items()}
-        level = in_level_frame(own["velocity_base"], trace.roll_pitch_yaw)
+        level = from_base_frame(own["velocity_base"], trace.roll_pitch_yaw)
         variance = np.diagonal(own["covariance"], axis1=1, axis2=2)
         motions.append(EstimatedMotion(trace.time, level, variance, own["height"], own["contact"]))
     return motions
@@ -100,15 +98,6 @@ def _readings(trace: EpisodeTrace, rows: NDArray[np.int64]) -> dict[str, Array]:
     }
 
 
-def in_level_frame(vector: Array, roll_pitch_yaw: Array) -> Array:
-    """Return base-frame vectors (..., 3) in the heading frame, for attitudes (..., 3) [rad]."""
-    sine, cosine = np.sin(roll_pitch_yaw), np.cos(roll_pitch_yaw)
-    (sr, sp), (cr, cp) = ((turn[..., 0], turn[..., 1]) for turn in (sine, cosine))
-    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
-    below = sr * y + cr * z
-    return np.stack([cp * x + sp * below, cr * y - sr * z, cp * below - sp * x], axis=-1)
-
-
 def is_estimated(trace: EpisodeTrace) -> bool:
     """Return whether the motion of the base in a run was estimated."""
     return "base_position_world" in trace.meta.get("estimated", ())
@@ -120,8 +109,8 @@ def with_estimated_motion(trace: EpisodeTrace, robot: RobotDescription) -> Episo
     The base starts at x = y = 0 with yaw 0, as with motion capture; meta says which columns are estimated. A run whose
     motion is known, an imported log and a dry run are returned as they are.
     """
-    known = np.isfinite(trace.base_position_world).any()
-    if known or trace.is_imported or trace.meta.get("dry_run"):
+    is_measured = np.isfinite(trace.base_position_world).any()
+    if is_measured or trace.is_imported or trace.meta.get("dry_run"):
         return trace
     (motion,) = estimate_motion([trace], robot)
     yaw = np.unwrap(trace.roll_pitch_yaw[:, 2])
@@ -139,63 +128,3 @@ def with_estimated_motion(trace: EpisodeTrace, robot: RobotDescription) -> Episo
         base_quat_world=quat,
         meta={**trace.meta, "estimated": ["base_position_world", "base_quat_world"]},
     )
-
-
-@dataclass(frozen=True)
-class EstimationErrors:
-    """Errors of estimated motion over runs of a simulation."""
-
-    rmse: Array
-    """Root mean square errors (3,) of speeds forward, to the left and up, of means over `WINDOW` [m/s]."""
-    bias: Array
-    """Mean errors (3,) [m/s]."""
-    normalized: float
-    """Root mean square error of the horizontal velocity of single steps, over the standard deviation that the filter
-    states."""
-    distance_rmse: float
-    """Root mean square error of the path length of a run, over the mean path length."""
-    distance_bias: float
-    """Sum of the path lengths over that of the true ones, less 1."""
-
-    @classmethod
-    def from_runs(cls, traces: Sequence[EpisodeTrace], motions: Sequence[EstimatedMotion]) -> EstimationErrors:
-        """Compare estimates with the truth at the times of the readings.
-
-        Path lengths are those of the mean velocities over `WINDOW`, so that steps do not count.
-        """
-        errors, normalized, lengths = [], [], []
-        for trace, motion in zip(traces, motions, strict=True):
-            truth, count = true_motion(trace), max(round(WINDOW / trace.meta["control_step"]), 1)
-            if trace.num_steps < count:
-                continue
-            means, true_means = (window_means(velocity, count) for velocity in (motion.velocity, truth))
-            errors.append(means - true_means)
-            normalized.append((motion.velocity - truth)[:, :2] ** 2 / motion.variance[:, :2])
-            lengths.append([np.hypot(*velocity[:, :2].T).sum() * WINDOW for velocity in (means, true_means)])
-        error, (estimated, true) = np.concatenate(errors), np.array(lengths).T
-        return cls(
-            rmse=np.sqrt((error**2).mean(axis=0)),
-            bias=error.mean(axis=0),
-            normalized=float(np.sqrt(np.concatenate(normalized).mean())),
-            distance_rmse=float(np.sqrt(((estimated - true) ** 2).mean()) / true.mean()),
-            distance_bias=float(estimated.sum() / true.sum() - 1.0),
-        )
-
-
-def window_means(values: Array, count: int) -> Array:
-    """Return the means (K, ...) over consecutive windows of `count` rows; the rest is left out."""
-    whole = len(values) // count
-    return np.asarray(values[: whole * count].reshape(whole, count, *values.shape[1:]).mean(axis=1))
-
-
-def true_motion(trace: EpisodeTrace) -> Array:
-    """Return the true mean velocity between the times of readings (T, 3) [m/s] in the heading frame.
-
-    The time of the readings is that of the row less the control latency of the simulation.
-    """
-    rows = np.concatenate([[0.0], trace.time])
-    at = rows - trace.meta["params"].get("control_latency", 0.0)
-    place = np.stack([np.interp(at, rows, one) for one in trace.base_position_world.T], axis=-1)
-    yaw = np.interp(at, rows, np.unwrap(quat_yaw(trace.base_quat_world)))
-    velocity = np.diff(place, axis=0) / np.diff(rows)[:, None]
-    return in_heading_frame(velocity, (yaw[:-1] + yaw[1:]) / 2)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
+from surefoot.rotations import from_base_frame
 from surefoot.task.commands import CommandState
 from surefoot.task.component import RobotComponent
 from surefoot.task.height_scan import POLICY_GRID
@@ -195,10 +196,8 @@ class Footholds(RobotComponent):
             ends: ends of strides, relative to the base's origin (N, L, 2) [m].
             readings: sensor readings, from which foot positions are computed.
         """
-        roll, pitch, _ = readings.roll_pitch_yaw.T[..., None]
-        x, y, z = np.moveaxis(self.reference.robot.foot_positions(readings.motor_angle), -1, 0)
-        y, z = y * np.cos(roll) - z * np.sin(roll), y * np.sin(roll) + z * np.cos(roll)
-        places = np.stack([x * np.cos(pitch) + z * np.sin(pitch), y], axis=-1)
+        feet = self.reference.robot.foot_positions(readings.motor_angle)
+        places = from_base_frame(feet, readings.roll_pitch_yaw[:, None])[..., :2]
         self.landed += lands
         rate = lands * np.maximum(_MIN_LEARNING_RATE, 1.0 / np.maximum(self.landed, 1.0))
         self.missed += rate[..., None] * (places - ends - self.landing - self.missed)

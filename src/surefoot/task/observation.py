@@ -12,6 +12,7 @@ from surefoot.errors import SurefootError, choices, suggest
 from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
+from surefoot.rotations import up_direction
 from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.state import RobotState
 
@@ -55,8 +56,7 @@ def gait_phase(state: RobotState) -> Array:
 
 def gravity(roll_pitch_yaw: Array) -> Array:
     """Return the unit vector of gravity in the base frame (N, 3): (0, 0, -1) for a level base."""
-    roll, pitch, _ = roll_pitch_yaw.T
-    return np.stack([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)], axis=-1)
+    return -up_direction(roll_pitch_yaw)
 
 
 def _command(state: RobotState) -> Array:

@@ -99,7 +99,7 @@ def test_one_episode_of_several_is_imported(written: Path, tmp_path: Path, puppe
 @pytest.mark.parametrize(
     ("more", "state", "message"),
     [
-        ("", "observation.state", r"has several runs: time begins anew where episode_index changes; choose one in the "
+        ("", "observation.state", r"has several runs: time starts again where episode_index changes; choose one in the "
          r"mapping, such as rows: \{episode_index: 4\}"),
         ("rows: {episode_index: 6}", "observation.state", "has no rows with episode_index 6; episode_index is 4 to 5"),
         ("rows: {episode: 4}", "observation.state", "has no column 'episode'; columns: action"),

@@ -73,8 +73,12 @@ class ColumnTable:
             SurefootError: no column of this name.
         """
         if name not in self.columns:
-            raise SurefootError(f"has no column '{name}'; columns: {choices(list(self.columns)[:_MAX_LISTED])}")
+            raise self.lacks(f"'{name}'")
         return self.columns[name]
+
+    def lacks(self, what: str) -> SurefootError:
+        """Return the error of a missing column, which lists the columns that there are."""
+        return SurefootError(f"has no column {what}; columns: {choices(list(self.columns)[:_MAX_LISTED])}")
 
 
 def read_table(path: Path) -> ColumnTable:

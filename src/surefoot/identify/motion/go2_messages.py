@@ -55,8 +55,6 @@ _TICKS = 2**32
 _NON_WORD = re.compile(r"[^a-z0-9]+")
 _FIELD = re.compile(r"(?:^|_)((?:motor_state|motor_cmd|imu_state)_.*|tick)$")
 """Field name at the end of a normalized column name, independent of the recorder's topic and punctuation."""
-_MAX_LISTED = 30
-"""Maximum number of column names listed in a message."""
 
 
 def is_go2(robot: RobotDescription) -> bool:
@@ -172,7 +170,7 @@ def _from_table(table: ColumnTable) -> NDArray[Any]:
         if len(names) > 1:
             raise SurefootError(f"has {len(names)} columns for {field}: {choices(names)}; keep one topic")
         if needed and not names:
-            raise SurefootError(f"has no column for {field}; columns: {choices(list(table.columns)[:_MAX_LISTED])}")
+            raise table.lacks(f"for {field}")
         return table.columns[names[0]] if names else np.full(table.rows, np.nan)
 
     def motor_columns(part: str, name: str, needed: bool = False) -> Array:

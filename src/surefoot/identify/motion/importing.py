@@ -165,7 +165,7 @@ def _motion(
     if (run_column := _find_run_column(table, time)) is not None:
         first = table.columns[run_column][0]
         raise SurefootError(
-            f"has several runs: time begins anew where {run_column} changes; choose one in the mapping, such as "
+            f"has several runs: time starts again where {run_column} changes; choose one in the mapping, such as "
             f"rows: {{{run_column}: {first:g}}}"
         )
     check_rising(time)

@@ -1,7 +1,7 @@
 """Numbers in a Parquet file, such as an episode of LeRobot's: `action`, `observation.state`, `timestamp`.
 
-Numbers, and lists of them that are equally long in every row, are read; texts, pictures and all else are left out. How
-much there is stands in the file's footer, and is checked before anything is read.
+Numbers, and lists of them that are equally long in every row, are read; texts, pictures and all else are left out. The
+number of values is in the file's footer, and is checked before anything is read.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def read_parquet(path: Path, limit: int) -> dict[str, NDArray[Any]]:
 
     Args:
         path: the file.
-        limit: how many values it may hold.
+        limit: maximum number of values.
 
     Raises:
         SurefootError: pyarrow is not installed, or a file that is damaged or too large; without its path.
@@ -49,7 +49,7 @@ def read_parquet(path: Path, limit: int) -> dict[str, NDArray[Any]]:
 
 
 def _holds_numbers(kind: Any) -> bool:
-    """Return whether a type of Arrow is that of numbers, or of lists of numbers."""
+    """Return whether an Arrow type holds numbers, or lists of numbers."""
     from pyarrow import types
 
     while types.is_list(kind) or types.is_large_list(kind) or types.is_fixed_size_list(kind):
