@@ -15,8 +15,8 @@ from chromium import hold_stick, running_browser
 FOLDER = Path(__file__).resolve().parents[1] / "docs"
 SUREFOOT = (sys.executable, "-m", "surefoot")
 WIDE = {"width": 1280, "height": 800}
-LOADING = 20_000
-"""Time [ms] for a browser without graphics hardware to load the stairs."""
+LOADING = 4
+"""Screenshots, 5 s apart, while a browser without graphics hardware loads the stairs; a hidden page does not."""
 
 
 @contextmanager
