@@ -516,7 +516,7 @@ def test_page_changes_the_terrain_and_draws_it(running: Running, page: Page):
     assert ground.height(np.array([2.0, 0.0])) == pytest.approx(np.tan(np.radians(5.0)))
     assert np.abs(running.measure(0.1)[0].position[:2]).max() < 0.05
     page.wait_for_function(
-        f"{view}.nodeRefFromName['/world/ground']?.getObjectByProperty('isMesh', true)?.material.map"
+        f"{view}.nodeRefFromName['/world/ground0']?.getObjectByProperty('isMesh', true)?.material.map"
     )
     page.locator("#terrain").select_option("flat")
     running.until(lambda: running.drive.terrain == "flat")

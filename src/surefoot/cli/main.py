@@ -67,6 +67,8 @@ def program() -> int:
     """Run the command of this process, as `main` does, with a garbage collector tuned for many imported libraries."""
     # Imports create some hundred thousand permanent objects: collect garbage less often, and not at exit.
     gc.set_threshold(100_000, 20, 20)
+    # surefoot draws without OpenGL, for which MuJoCo would search in a process that Ctrl-C ends with a traceback.
+    os.environ.setdefault("MUJOCO_GL", "disable")
     end_when_interrupted()
     try:
         return main()

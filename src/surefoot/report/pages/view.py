@@ -11,6 +11,7 @@ import logging
 import time
 from collections import deque
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,7 +99,7 @@ def add_world(scene: viser.SceneApi) -> viser.FrameHandle:
 def add_ground(scene: viser.SceneApi, name: str, size: float, ground: Ground) -> None:
     """Add a ground for robots of a given size [m]: flat, or a part from `ground_around`."""
     if not ground.is_flat:
-        scene.add_glb(name, ground_model(ground), cast_shadow=False, receive_shadow=0.4)
+        add_ground_model(scene, name, ground_model(ground))
         return
     scene.add_grid(
         name,
@@ -112,6 +113,11 @@ def add_ground(scene: viser.SceneApi, name: str, size: float, ground: Ground) ->
         plane_opacity=1.0,
         shadow_opacity=0.4,
     )
+
+
+def add_ground_model(scene: viser.SceneApi, name: str, model: bytes) -> None:
+    """Add a model from `ground_model`; it replaces a node of the same name."""
+    scene.add_glb(name, model, cast_shadow=False, receive_shadow=0.4)
 
 
 def add_path(scene: viser.SceneApi, name: str, points: Array, color: tuple[int, int, int]) -> None:
@@ -135,6 +141,46 @@ def add_robot(
         scene.add_mesh_simple(f"{frames[link]}/m{number}", points, faces, color=color, side="double", opacity=opacity)
 
 
+class GroundParts:
+    """Parts of uneven ground that are drawn: the one around the robot, and the one around which it was before.
+
+    A browser needs some time to load a part, so the previous one stays until another is needed; and computing the model
+    of a part takes most of a second, so it is done in a thread.
+    """
+
+    def __init__(self, scene: viser.SceneApi, ground: Ground) -> None:
+        self._scene, self._ground = scene, ground
+        self._parts = [ground_around(ground, np.zeros(2))] * 2
+        self._current = 0
+        """Index of the part around the robot, which is drawn or being computed."""
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="ground")
+        self._model: Future[bytes] | None = None
+        """Model of the current part while it is computed."""
+        self._add(ground_model(self._parts[0]))
+
+    def _add(self, model: bytes) -> None:
+        add_ground_model(self._scene, f"/world/ground{self._current}", model)
+
+    def follow(self, place: Array) -> None:
+        """Draw the part around a position (2,) [m]; it appears in a later call if its model has to be computed."""
+        if self._model is not None:
+            if self._model.done():
+                self._add(self._model.result())
+                self._model = None
+            return
+        part, other = ground_around(self._ground, place), 1 - self._current
+        if part is self._parts[self._current]:
+            return
+        self._current = other
+        if part is not self._parts[other]:
+            self._parts[other] = part
+            self._model = self._thread.submit(ground_model, part)
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._thread.shutdown(wait=False, cancel_futures=True)
+
+
 @dataclass(frozen=True)
 class _DrawnRobot:
     robot: RobotDescription
@@ -149,6 +195,7 @@ class RobotView:
         self.port = self._server.get_port()
         self.frames = 0
         """Number of updates sent."""
+        self._parts: GroundParts | None = None
 
     def show(self, ground: Ground, robot: RobotDescription, ghost: RobotDescription | None = None) -> None:
         """Show a new robot on a ground, with a new trail, and optionally a transparent second robot (ghost)."""
@@ -156,13 +203,16 @@ class RobotView:
         self._trail: deque[Array] = deque(maxlen=_TRAIL_POINTS)
         self._at, self._size, self._base, self._yaw = np.zeros(3), size, np.zeros(3), 0.0
         self._ground = ground
-        self._part = ground if ground.is_flat else ground_around(ground, np.zeros(2))
+        self._end_parts()
         self._arrow: viser.ArrowsHandle | None = None
         self._arrow_until, self._push = 0.0, np.zeros(3)
         with server.atomic():
             server.scene.reset()
             self._world = add_world(server.scene)
-            add_ground(server.scene, "/world/ground", size, self._part)
+            if ground.is_flat:
+                add_ground(server.scene, "/world/ground", size, ground)
+            else:
+                self._parts = GroundParts(server.scene, ground)
             self._robots = [self._add_robot("/world", robot)]
             if ghost is not None:
                 self._robots.append(self._add_robot("/world/ghost", ghost, tint=_GHOST_COLOR, opacity=_GHOST_OPACITY))
@@ -188,9 +238,8 @@ class RobotView:
             far = np.linalg.norm((under - self._at)[:2]) > 2 * self._size
             self._at = under if far else self._at + _FOLLOW * (under - self._at)
             self._world.position = -self._at
-            if not ground.is_flat and (part := ground_around(ground, at[:2])) is not self._part:
-                self._part = part
-                add_ground(self._server.scene, "/world/ground", self._size, part)
+            if self._parts is not None:
+                self._parts.follow(at[:2])
             for one, frames in zip(self._robots, placed, strict=True):
                 for name, link in one.links.items():
                     pose = frames[name][0]
@@ -234,6 +283,12 @@ class RobotView:
             )
         self._arrow_until = now + _ARROW_TIME
 
+    def _end_parts(self) -> None:
+        if self._parts is not None:
+            self._parts.stop()
+        self._parts = None
+
     def stop(self) -> None:
         """Close the port."""
+        self._end_parts()
         self._server.stop()
