@@ -455,6 +455,15 @@ def test_a_robot_beyond_its_angle_limits_is_moved_back_within_them(deploy, toy):
     assert targets.min() >= toy.firmware.handshake.angle_low.min() - 1e-6
 
 
+@pytest.mark.parametrize("shown", [True, False])
+def test_the_speed_is_estimated_for_monitors_that_show_it(deploy, monitor, shown):
+    monitor.shows_speed = shown
+    deploy()
+    speeds = [snapshot.speed for snapshot in monitor.snapshots if snapshot.phase == "run"]
+    assert len(speeds) > 2
+    assert all((speed is not None) == shown for speed in speeds)
+
+
 def test_monitors_get_ten_snapshots_a_second_and_warnings(deploy, monitor, toy):
     at_step(5, {"voltage": 14.2}, toy)
     deploy(steps=500)

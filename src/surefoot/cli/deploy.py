@@ -196,9 +196,9 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
 def _result(
     outcome: RunOutcome, timing: LoopTiming, saved: SavedRun, steps: int, robot: RobotDescription
 ) -> dict[str, Any]:
-    from surefoot.evaluation.estimated_motion import is_estimated, with_estimated_motion
+    from surefoot.evaluation.estimated_motion import is_estimated, path_length, with_estimated_motion
 
-    speed = distance = None
+    speed = distance = path = None
     estimated = False
     if saved.trace is not None:
         trace = with_estimated_motion(saved.trace, robot)
@@ -206,6 +206,7 @@ def _result(
         if math.isfinite(forward[-1] - forward[0]):
             distance = float(forward[-1] - forward[0])
             speed = distance / trace.duration
+            path = path_length(trace)
     return {
         "ended": outcome.ended,
         "reason": outcome.reason,
@@ -214,6 +215,7 @@ def _result(
         "trace": str(saved.path) if saved.path is not None else None,
         "distance": distance,
         "speed": speed,
+        "path": path,
         "estimated": estimated,
         "notes": saved.notes,
         "timing": timing.metrics(),
@@ -239,13 +241,13 @@ def _report(command: DeployCommand, deployment: Deployment, results: list[dict[s
             print_json(report)
             return code
         for result in results:
-            _print_result(result)
+            _print_result(result, deployment.contract.commands is not None)
         if traces := [Path(result["trace"]) for result in results if result["trace"] is not None]:
             print(show_command(traces), flush=True)
     return code
 
 
-def _print_result(result: dict[str, Any]) -> None:
+def _print_result(result: dict[str, Any], is_steered: bool) -> None:
     metrics = result["timing"]
     parts = [
         f"{result['ended']}: {result['what']}" if result["ended"] != "time" else str(result["what"]),
@@ -253,7 +255,11 @@ def _print_result(result: dict[str, Any]) -> None:
     ]
     if result["distance"] is not None:
         how = ", estimated" if result["estimated"] else ""
-        parts.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s{how}")
+        if is_steered:
+            # A steered robot may come back to where it started.
+            parts.append(f"path of {result['path']:.2f} m{how}")
+        else:
+            parts.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s{how}")
     if metrics["lateness_median_ms"] is not None:
         late = "/".join(f"{metrics[f'lateness_{key}_ms']:.2f}" for key in ("median", "p99_9", "max"))
         parts.append(f"lateness {late} ms (median/99.9 %/max)")

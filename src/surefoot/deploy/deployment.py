@@ -216,7 +216,9 @@ class Deployment:
     def _run_policy(self, loop: ControlLoop, recorder: Recorder) -> Verdict:
         controller = self.controller
         controller.reset()
-        speedometer, shown = Speedometer(self.robot, self.contract.control_step), 0
+        speedometer, shown = None, 0
+        if self.monitor.shows_speed:
+            speedometer = Speedometer(self.robot, self.contract.control_step)
         clamped = ""
 
         def compute(k: int, state: State, missed: int) -> Array:
@@ -237,8 +239,9 @@ class Deployment:
             nonlocal shown
             if k == 0:
                 recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
-            speedometer.update(state, max(k - shown, 1))
-            shown, loop.speed = k, (*speedometer.velocity.tolist(), speedometer.distance)
+            if speedometer is not None:
+                speedometer.update(state, max(k - shown, 1))
+                shown, loop.speed = k, (*speedometer.velocity.tolist(), speedometer.distance)
             recorder.complete_rows(k, state)
             if computed:
                 recorder.start_row(

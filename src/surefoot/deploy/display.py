@@ -34,6 +34,8 @@ class LiveDisplay(RunMonitor):
         stdout: standard output of the process.
     """
 
+    shows_speed = True
+
     def __init__(self, title: str, module: str = "surefoot.deploy.display", stdout: int | None = None) -> None:
         command = [sys.executable, "-m", module]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=stdout)

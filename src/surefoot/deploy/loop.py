@@ -52,7 +52,8 @@ class Snapshot:
     dropped: int
     """Frames that were lost or damaged in the whole run."""
     speed: tuple[float, float, float] | None = None
-    """Estimated speeds forward and to the left [m/s], and length of the path [m]; None while no policy runs."""
+    """Estimated speeds forward and to the left [m/s], and length of the path [m]. None while no policy runs, and for
+    monitors that do not show it."""
 
 
 class RunMonitor:
@@ -60,6 +61,8 @@ class RunMonitor:
 
     period = 0.1
     """Period of snapshots [s]."""
+    shows_speed = False
+    """Whether `Snapshot.speed` is used; it is not estimated otherwise."""
 
     def phase(self, name: str, duration: float) -> None:
         """Receive the name of a phase that starts, and its duration [s]."""

@@ -23,6 +23,10 @@ NOTE = (
     "a gallop, see docs/estimation.md"
 )
 """What to know of numbers that come from estimated motion."""
+PATH_WINDOW = 0.5
+"""Time between the places that a path connects [s]: about a stride."""
+PATH_WINDOW = 0.5
+"""Time between the places that a path connects [s]: about a stride."""
 EstimatorFactory = Callable[[RobotDescription, int], VelocityEstimator]
 """Makes an estimator for a robot and a number of robots."""
 
@@ -96,6 +100,13 @@ def _readings(trace: EpisodeTrace, rows: NDArray[np.int64]) -> dict[str, Array]:
         "motor_velocity": trace.motor_velocity[rows],
         "motor_torque": torque[rows],
     }
+
+
+def path_length(trace: EpisodeTrace) -> float:
+    """Return the length of the path of the base over the ground [m]; steps of a stride do not count."""
+    count = max(round(PATH_WINDOW / trace.meta["control_step"]), 1)
+    places = trace.base_position_world[[*range(0, trace.num_steps, count), trace.num_steps], :2]
+    return float(np.hypot(*np.diff(places, axis=0).T).sum())
 
 
 def is_estimated(trace: EpisodeTrace) -> bool:
