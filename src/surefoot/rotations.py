@@ -80,8 +80,10 @@ def from_heading_frame(points: Array, yaw: Array) -> Array:
 
 def up_direction(roll_pitch_yaw: Array) -> Array:
     """Return the unit vector away from the ground in the base frame (..., 3): (0, 0, 1) for a level base."""
-    roll, pitch = roll_pitch_yaw[..., 0], roll_pitch_yaw[..., 1]
-    return np.stack([-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)], axis=-1)
+    sine, cosine, up = np.sin(roll_pitch_yaw), np.cos(roll_pitch_yaw), np.empty(roll_pitch_yaw.shape)
+    level = cosine[..., 1]
+    up[..., 0], up[..., 1], up[..., 2] = -sine[..., 1], sine[..., 0] * level, cosine[..., 0] * level
+    return up
 
 
 def from_base_frame(vector: Array, roll_pitch_yaw: Array) -> Array:

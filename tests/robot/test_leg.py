@@ -100,6 +100,23 @@ def test_the_jacobian_is_the_derivative_of_the_foots_position(legs: Legs):
         np.testing.assert_allclose(jacobian[..., motor], moved, atol=1e-8)
 
 
+@each_kind
+def test_foot_kinematics_have_the_position_and_the_forces_that_balance_torques(legs: Legs):
+    angles = legs.to_motors(grid(legs))
+    feet = legs.foot_kinematics(angles)
+    np.testing.assert_allclose(feet.pose[..., :3], legs.foot_position(angles), atol=1e-12)
+    force = np.array([3.0, -2.0 if len(legs.coordinates) == 3 else 0.0, 11.0])
+    torque = -force @ legs.jacobian(angles)
+    np.testing.assert_allclose(feet.force(torque), np.broadcast_to(force, feet.pose[..., :3].shape), atol=1e-8)
+
+
+def test_a_straight_leg_has_no_force_along_itself():
+    feet = serial_legs().foot_kinematics(np.zeros((2, 3)))
+    # Hip and knee turn by 0.45 and 0.25 m of backward speed a radian: least squares for the force backward.
+    force = feet.force(np.array([[0.0, 1.0, 1.0]] * 2))
+    np.testing.assert_allclose(force[..., ::2], [[(0.45 + 0.25) / (0.45**2 + 0.25**2), 0.0]] * 2, atol=1e-12)
+
+
 @pytest.mark.parametrize(
     ("legs", "feet"),
     [

@@ -10,15 +10,20 @@ for abduction a and link angle f. Rolling is not small: it is the ratio of r to 
 of the distance. Derivatives are differences between two readings, so that v is the mean over the time between them, and
 its sum the distance.
 
-The force f of the ground on a foot follows from the motor torques t and the Jacobian J of the foot, with the inertia I
-of the rotors; the inertia of the links is left out:
+The force f of the ground on a foot follows from the motor torques less the inertia of the rotors; the inertia of the
+links is left out. The sole is a spring with the stiffness K and the damping B_t of the data sheet (`world.contact`), so
+that a standing foot moves by s:
 
-    J^T f = -(t - I q'')
+    K s + B_t ds/dt = -f        v = (v of a foot that rolls without slipping) + ds/dt
+
+Without this term a Minitaur's trot is estimated 1 percent too slow, and a gallop 3 percent too fast.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,25 +33,27 @@ from surefoot.robot import FiveBar, RobotDescription
 from surefoot.robot.leg import Legs
 from surefoot.rotations import up_direction
 
-SINGULAR = 1e-3
-"""Singular value of a Jacobian, over the length of the leg, at which its inverse is bounded: near a straight leg
-torques say nothing about the force along it."""
-DIFFERENCE = 1e-4
-"""Difference of motor angles [rad] with which the Jacobians are taken."""
+SHEAR_DAMPING = 0.5
+"""Ratio of the damping of a sole along the ground to its damping normal to the ground, as in `world.contact`."""
+_CROSS = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)
+"""A vector b times this is a matrix (9,): a row a times the matrix (3, 3) is the cross product of a and b."""
 
 
-@dataclass(frozen=True)
-class FootObservations:
+class FootObservations(NamedTuple):
     """What the feet of N robots with L legs imply; vectors are in the base frame."""
 
     up: Array
     """Unit vector away from the ground (N, 3)."""
+    cross_turn: Array
+    """Matrices (N, 3, 3): rows times a matrix are their cross products with the mean angular velocity [rad/s]."""
     velocity: Array
-    """Velocity of the base if the foot rolls on the ground (N, L, 3) [m/s]."""
-    contact_point: Array
-    """Lowest point of each foot, from the base's origin (N, L, 3) [m]."""
+    """Velocity of the base if the foot stands (N, L, 3) [m/s]."""
+    height: Array
+    """Height of each foot's lowest point above the base's origin (N, L) [m]; negative below it."""
     load: Array
     """Vertical force of the ground on each foot over an equal share of the weight (N, L)."""
+    is_finite: bool
+    """Whether velocities and loads are finite: legs can close and torques are known."""
 
 
 def foot_radii(robot: RobotDescription) -> Array:
@@ -58,31 +65,25 @@ def foot_radii(robot: RobotDescription) -> Array:
     return np.array([radii[0] if radii else 0.0 for radii in spheres])
 
 
-def cross(one: Array, other: Array) -> Array:
-    """Return the cross product of vectors (..., 3), in a third of the time that numpy's takes for a few."""
-    product = np.empty(np.broadcast_shapes(one.shape, other.shape))
-    (ax, ay, az), (bx, by, bz) = ((v[..., 0], v[..., 1], v[..., 2]) for v in (one, other))
-    product[..., 0], product[..., 1], product[..., 2] = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-    return product
-
-
 class FootOdometry:
     """Turns readings of N robots into what their feet imply, from one control step to the next."""
 
     def __init__(self, robot: RobotDescription) -> None:
         legs: Legs = robot.leg_geometry
-        self._radius = foot_radii(robot)[:, None]
+        self._radius = foot_radii(robot)
         if isinstance(legs, FiveBar):
             # The sheet's five-bar leg ends at the sole; the sphere's centre is above it.
             legs = replace(legs, foot=legs.foot - legs.foot_radius, foot_radius=0.0)
         self._legs = legs
-        self._mounts, self._index = robot.leg_mounts, robot.leg_motor_index
+        self._mounts, index = np.pad(robot.leg_mounts, ((0, 0), (0, 2))), robot.leg_motor_index
+        self._columns = index + robot.num_motors * np.arange(3)[:, None, None]
         self._share = robot.weight / len(robot.legs)
-        motors = self._index.shape[1]
-        self._changes = DIFFERENCE * np.concatenate([np.zeros((1, motors)), np.eye(motors)])[:, None, None]
-        self._floor = (SINGULAR * legs.length) ** 2 * np.eye(3)
         inertia = robot.nominal_params().get("rotor_inertia", 0.0)
-        self._inertia = np.broadcast_to(np.asarray(inertia, float), (robot.num_motors,))[self._index]
+        inertia = np.broadcast_to(np.asarray(inertia, float), (robot.num_motors,))[index]
+        self._inertia = inertia if inertia.any() else None
+        contact = robot.contact
+        self._compliance = 1.0 / contact.stiffness
+        self._sole_time = SHEAR_DAMPING * contact.damping / contact.stiffness
         self._before: tuple[Array, ...] | None = None
 
     def reset(self) -> None:
@@ -91,40 +92,39 @@ class FootOdometry:
 
     def update(self, readings: MotionReadings) -> FootObservations:
         """Return what the feet imply for the time since the readings before; of the first ones, that they rest."""
-        angles, speeds, torque = (
-            np.take(values, self._index, axis=1)
-            for values in (readings.motor_angle, readings.motor_velocity, readings.motor_torque)
-        )
+        motors = np.concatenate((readings.motor_angle, readings.motor_velocity, readings.motor_torque), axis=1)
+        of_legs = motors.take(self._columns, axis=1)
+        angles, speeds, torque = of_legs[:, 0], of_legs[:, 1], of_legs[:, 2]
         rate, duration = readings.angular_velocity_base, readings.duration[:, None, None]
-        # With `Legs.jacobian` an update takes half as long again: for one robot the number of operations counts, not
-        # their size.
-        places = self._legs.foot_position(angles + self._changes)
-        link, jacobian = self._legs.foot_link_angles(angles, places[0]), (places[1:] - places[0]) / DIFFERENCE
-        centre = places[0] + self._mounts
-        old_centre, old_link, old_speeds, old_rate = self._before or (centre, link, speeds, rate)
-        self._before = centre, link, speeds, rate
-        up = up_direction(readings.roll_pitch_yaw)
-        sole = self._radius * up[:, None]
-        turn, change = ((rate + old_rate) / 2)[:, None], (link - old_link) / duration
-        aside, pitch = (link[..., 0] + old_link[..., 0]) / 2, change[..., 1]
-        of_link = np.empty_like(centre)
-        of_link[..., 0], of_link[..., 1], of_link[..., 2] = change[..., 0], np.cos(aside) * pitch, np.sin(aside) * pitch
-        of_link += turn
-        velocity = cross(of_link, sole) - cross(turn, (centre + old_centre) / 2) - (centre - old_centre) / duration
-        torque = torque - self._inertia * ((speeds - old_speeds) / duration)
-        return FootObservations(up, velocity, centre - sole, self._load(jacobian, torque, up))
-
-    def _load(self, jacobian: Array, torque: Array, up: Array) -> Array:
-        """Return the vertical forces (N, L) over an equal share of the weight.
-
-        Args:
-            jacobian: of the feet, (m, N, L, 3) [m/rad].
-            torque: of the motors, (N, L, m) [N m].
-            up: direction of up, (N, 3).
-        """
-        # J^T f = -t, so f . u = -t . J^+ u = -(J t) . (J J^T)^-1 u.
-        rows = jacobian.transpose(1, 2, 0, 3)
-        square = rows.swapaxes(-1, -2) @ rows + self._floor
-        along = np.linalg.solve(square, up[:, None, :, None])[..., 0]
-        moved = (torque[..., None, :] @ rows)[..., 0, :]
-        return np.asarray(-(moved * along).sum(axis=-1) / self._share)
+        feet = self._legs.foot_kinematics(angles)
+        pose = feet.pose
+        pose += self._mounts
+        old_pose, old_speeds, old_rate, sole = self._before or (pose, speeds, rate, None)
+        change, mean = (pose - old_pose) / duration, 0.5 * (pose + old_pose)
+        axes = np.empty((len(rate), 2, 3))
+        axes[:, 0], axes[:, 1] = up_direction(readings.roll_pitch_yaw), 0.5 * (rate + old_rate)
+        # Per foot, the turn of its link times its radius, and its centre: what crosses `axes`.
+        aside, pitch, arms = mean[..., 3], change[..., 4], np.empty((*pose.shape[:-1], 6))
+        arms[..., 0], arms[..., 1], arms[..., 2] = change[..., 3], np.cos(aside) * pitch, np.sin(aside) * pitch
+        arms[..., :3] += axes[:, 1:]
+        arms[..., :3] *= self._radius[:, None]
+        arms[..., 3:] = mean[..., :3]
+        cross = axes @ _CROSS
+        velocity = arms @ cross.reshape(-1, 6, 3) - change[..., :3]
+        if self._inertia is not None:
+            torque -= self._inertia * ((speeds - old_speeds) / duration)
+        force, upward = feet.force(torque), axes[:, 0, :, None]
+        load = (force @ upward)[..., 0] / self._share
+        is_finite = math.isfinite(np.add.reduce(load, axis=None) + np.add.reduce(velocity, axis=None))
+        if not is_finite:
+            force = np.where(np.isfinite(force), force, 0.0 if sole is None else sole)
+        if sole is None:
+            sole = force
+        else:
+            # Implicit Euler: the force of the sole's spring follows the force on the foot.
+            step = (force - sole) / (duration + self._sole_time)
+            sole = sole + step * duration
+            velocity -= self._compliance * step
+        self._before = pose, speeds, rate, sole
+        height = (pose[..., :3] @ upward)[..., 0] - self._radius
+        return FootObservations(axes[:, 0], cross[:, 1].reshape(-1, 3, 3), velocity, height, load, is_finite)

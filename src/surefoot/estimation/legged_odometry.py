@@ -9,7 +9,8 @@ position of the base and of its footholds is left out: nothing measures it, and 
 
 The load on a foot says how likely it stands. A foot that slips, or swings with a load, is rejected by its distance d
 from the others and from the prediction: weights are (1 + d^2 / c)^-2, the function of Geman and McClure (1987), found
-by iteration, beginning with the weights from the loads.
+by iteration, beginning with the weights from the loads. A foot that carries much slips less: its information grows with
+the root of its load.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from surefoot.arrays import Array
-from surefoot.estimation.foot_odometry import FootObservations, FootOdometry, cross
+from surefoot.estimation.foot_odometry import FootObservations, FootOdometry
 from surefoot.estimation.interface import MotionReadings, VelocityEstimate
 from surefoot.robot import GRAVITY, RobotDescription
 
@@ -28,12 +29,12 @@ LOAD_WIDTH = 0.15
 """Width of the logistic curve over the load: friction and inertia of the links change torques by about as much."""
 FOOT_NOISE = 0.08
 """Standard deviation [sqrt(g l)] of the velocity that a standing foot implies: soft soles give way and spring back."""
-DEGREES = 3.0
+DEGREES = 2.5
 """Squared distance of a foot from the estimate, in standard deviations, at which its weight is a quarter. Less rejects
 slip better, and follows pushes and impacts less."""
-REWEIGHTINGS = 3
+REWEIGHTINGS = 2
 """Times that the weights of feet are computed again."""
-ACCELERATION = 0.4
+ACCELERATION = 0.5
 """Standard deviation of the acceleration [g] without an accelerometer: feet that touch down on stairs stop the base."""
 ACCELERATION_TIME = 0.3
 """Time [sqrt(l / g)] for which such an acceleration lasts."""
@@ -64,73 +65,92 @@ class LeggedOdometry:
         self._foot_variance = (FOOT_NOISE * speed) ** 2
         self._walk = (ACCELERATION * GRAVITY) ** 2 * ACCELERATION_TIME * time
         self._measured_walk = (MEASURED_ACCELERATION * GRAVITY) ** 2 * ACCELERATION_TIME * time
+        self._nearness = np.array([1.0, 1.0, 1.0, 0.0]) / (DEGREES * self._foot_variance)
         self._start_variance = (START * speed) ** 2
-        self._height_variance = (HEIGHT_NOISE * length) ** 2
-        self._height_walk = (HEIGHT_CHANGE * length) ** 2 / time
+        # In units of the variance of the height over a standing foot.
+        self._height_walk = (HEIGHT_CHANGE / HEIGHT_NOISE) ** 2 / time
         self.reset()
 
     def reset(self) -> None:
         """Forget all readings; the robots stand still at the next ones."""
         self._odometry.reset()
-        self._velocity = np.zeros((self._num_envs, 3))
-        self._variance = np.full((self._num_envs, 3), self._start_variance)
-        self._height = np.zeros(self._num_envs)
-        self._height_uncertainty = np.full(self._num_envs, 1e6 * self._height_variance)
+        self._velocity = np.zeros((self._num_envs, 1, 3))
+        self._variance = np.full((self._num_envs, 1, 1), self._start_variance)
+        self._height = np.zeros((self._num_envs, 1, 1))
+        self._height_variance = np.full((self._num_envs, 1, 1), 1e6)
 
     def update(self, readings: MotionReadings) -> VelocityEstimate:
         """Take the readings of a control step and return the estimate for their time."""
         feet = self._odometry.update(readings)
-        implied, standing = feet.velocity, _standing(feet, readings.expected_load)
-        finite = np.isfinite(implied)
-        if not finite.all():  # a leg that can't close
-            standing = np.where(finite.all(axis=-1), standing, 0.0)
-            implied = np.where(finite, implied, 0.0)
-        self._predict(readings, feet.up, standing)
-        contact = self._correct(implied, standing)
-        self._update_height(readings.duration, feet, contact)
-        covariance = self._variance[:, :, None] * _EYE
-        return VelocityEstimate(self._velocity.copy(), covariance, self._height.copy(), contact)
+        velocity, load, above = feet.velocity, feet.load, feet.height[:, :, None]
+        can_stand: Array | float = 1.0
+        if not feet.is_finite:
+            finite = np.asarray(np.isfinite(velocity).all(axis=-1))  # a leg that can't close
+            velocity, above = (np.where(finite[:, :, None], values, 0.0) for values in (velocity, above))
+            load, can_stand = _known_load(load, readings.expected_load), finite.astype(float)
+        standing = can_stand * (0.5 + 0.5 * np.tanh((load - STANDING_LOAD) * (0.5 / LOAD_WIDTH)))
+        # What each foot implies, and 1; the last row is the prediction.
+        rows = np.empty((self._num_envs, standing.shape[1] + 1, 4))
+        rows[:, :-1, :3], rows[..., 3] = velocity, 1.0
+        duration = readings.duration[:, None, None]
+        self._predict(readings.accelerometer, feet, standing, duration)
+        contact = self._correct(rows, standing, np.sqrt(np.maximum(load, 0.0)))
+        self._update_height(feet.up, above, contact, duration)
+        return VelocityEstimate(self._velocity[:, 0], self._variance * _EYE, self._height[:, 0, 0], contact[:, 0])
 
-    def _predict(self, readings: MotionReadings, up: Array, standing: Array) -> None:
-        duration = readings.duration[:, None]
-        change, walk = -cross(readings.angular_velocity_base, self._velocity), self._walk
-        if readings.accelerometer is not None:
-            change, walk = change + readings.accelerometer - GRAVITY * up, self._measured_walk
+    def _predict(self, accelerometer: Array | None, feet: FootObservations, standing: Array, duration: Array) -> None:
+        change = self._velocity @ feet.cross_turn
+        if accelerometer is not None:
+            change += (accelerometer - GRAVITY * feet.up)[:, None]
+            walk = self._measured_walk
         else:
             # A robot without a foot on the ground falls freely.
-            change -= GRAVITY * up * (1.0 - standing).prod(axis=1)[:, None]
-        self._velocity += change * duration
-        self._variance += walk * duration
+            flight = np.multiply.reduce(1.0 - standing, axis=1, keepdims=True)
+            change -= (GRAVITY * flight * feet.up)[:, None]
+            walk = self._walk
+        self._velocity = self._velocity + change * duration
+        self._variance = self._variance + walk * duration
 
-    def _correct(self, implied: Array, standing: Array) -> Array:
-        """Correct the velocity by what feet imply (N, L, 3); return the probability that each stands and rolls."""
+    def _correct(self, rows: Array, standing: Array, firmness: Array) -> Array:
+        """Correct the velocity; return the probability (N, 1, L) that each foot stands and rolls.
+
+        Args:
+            rows: velocity that each foot implies, and 1 (N, L + 1, 4); the last row is filled here.
+            standing: probability that each foot stands (N, L).
+            firmness: information of a standing foot relative to one that carries its share of the weight (N, L).
+        """
         # In units of the noise of a foot.
-        information, weight = self._foot_variance / self._variance, standing
-        prior, limit = information * self._velocity, DEGREES * self._foot_variance
+        rows[:, -1:, :3] = self._velocity
+        weights = np.empty((self._num_envs, 1, rows.shape[1]))
+        implied, feet = rows[:, :-1], weights[:, 0, :-1]
+        firm = standing * firmness
+        weights[..., -1:], feet[:] = self._foot_variance / self._variance, firm
         for _ in range(REWEIGHTINGS + 1):
-            total = information + weight.sum(axis=1)[:, None]
-            velocity = (prior + (weight[:, None] @ implied)[:, 0]) / total
-            error = implied - velocity[:, None]
-            weight = standing * (limit / (limit + (error * error).sum(axis=-1))) ** 2
-        self._velocity, self._variance = velocity, self._foot_variance / total
-        return weight
+            total = weights @ rows
+            mean = total / total[..., 3:]
+            far = np.square(implied - mean) @ self._nearness
+            far += 1.0
+            far *= far
+            np.divide(firm, far, out=feet)
+        self._velocity, self._variance = mean[..., :3], self._foot_variance / total[..., 3:]
+        return (standing / far)[:, None]
 
-    def _update_height(self, duration: Array, feet: FootObservations, contact: Array) -> None:
-        self._height += (self._velocity * feet.up).sum(axis=1) * duration
-        self._height_uncertainty += self._height_walk * duration
-        above = (feet.contact_point * feet.up[:, None]).sum(axis=-1)
-        weight = contact / self._height_variance
-        total = 1.0 / self._height_uncertainty + weight.sum(axis=1)
-        below = np.where(contact > 0.0, -weight * above, 0.0).sum(axis=1)
-        self._height = (self._height / self._height_uncertainty + below) / total
-        self._height_uncertainty = 1.0 / total
+    def _update_height(self, up: Array, above: Array, contact: Array, duration: Array) -> None:
+        """Update the height.
+
+        Args:
+            up: unit vector away from the ground (N, 3).
+            above: height of each foot's lowest point above the base's origin (N, L, 1) [m].
+            contact: probability that each foot stands (N, 1, L).
+            duration: time since the readings before (N, 1, 1) [s].
+        """
+        predicted = self._height + (self._velocity @ up[:, :, None]) * duration
+        information = 1.0 / (self._height_variance + self._height_walk * duration)
+        total = information + np.add.reduce(contact, axis=2, keepdims=True)
+        self._height = (information * predicted - contact @ above) / total
+        self._height_variance = 1.0 / total
 
 
-def _standing(feet: FootObservations, expected: Array | None) -> Array:
-    """Return the probability that each foot stands (N, L), from its load; without torques, from the expected load."""
-    load, finite = feet.load, np.isfinite(feet.load)
-    if not finite.all():
-        # Where nothing is known about the load, a foot stands as likely as not.
-        otherwise = STANDING_LOAD if expected is None else expected * load.shape[1]
-        load = np.where(finite, load, otherwise)
-    return np.asarray(1.0 / (1.0 + np.exp(np.minimum((STANDING_LOAD - load) / LOAD_WIDTH, 50.0))))
+def _known_load(load: Array, expected: Array | None) -> Array:
+    """Return loads (N, L), for unknown ones those of a reference gait; without one a foot stands as likely as not."""
+    return np.where(np.isfinite(load), load, STANDING_LOAD if expected is None else expected * load.shape[1])

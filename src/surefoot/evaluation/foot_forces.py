@@ -8,10 +8,6 @@ from numpy.typing import ArrayLike
 from surefoot.arrays import Array
 from surefoot.robot import RobotDescription
 
-_SINGULAR = 0.02
-"""Relative cutoff of singular values of a leg's Jacobian: directions with less leverage, such as along a straight leg,
-are left out."""
-
 
 def foot_forces(robot: RobotDescription, motor_angle: ArrayLike, motor_torque: ArrayLike) -> Array:
     """Estimate the ground reaction forces on the feet, (..., L, 3) [N] in the base frame.
@@ -20,12 +16,8 @@ def foot_forces(robot: RobotDescription, motor_angle: ArrayLike, motor_torque: A
     the force on its foot, J' F = -tau. Estimates for feet in the air therefore contain the legs' inertia. A leg with
     two motors does not measure the force normal to its plane, which is set to 0. NaN angles or torques give NaN.
     """
-    index = robot.leg_motor_index
+    legs, index = robot.leg_geometry, robot.leg_motor_index
     angles, torques = (np.asarray(values, float)[..., index] for values in (motor_angle, motor_torque))
-    valid = np.isfinite(angles).all(-1) & np.isfinite(torques).all(-1) & robot.leg_geometry.is_feasible(angles)
-    rest = robot.resting_angles[index]
-    lever = np.swapaxes(robot.leg_geometry.jacobian(np.where(valid[..., None], angles, rest)), -1, -2)
-    force = -np.einsum(
-        "...ij,...j->...i", np.linalg.pinv(lever, rcond=_SINGULAR), np.where(valid[..., None], torques, 0)
-    )
-    return np.where(valid[..., None], force, np.nan)
+    valid = (np.isfinite(angles).all(-1) & np.isfinite(torques).all(-1) & legs.is_feasible(angles))[..., None]
+    kinematics = legs.foot_kinematics(np.where(valid, angles, robot.resting_angles[index]))
+    return np.where(valid, kinematics.force(np.where(valid, torques, 0.0)), np.nan)

@@ -14,14 +14,73 @@ theta is measured from straight up; motor 1 turns its upper link forward, motor 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Protocol
+from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.arrays import Array
+from surefoot.arrays import Array, ComplexArray
 from surefoot.configuration import NotNegative, Positive
 from surefoot.errors import SurefootError
+
+MIN_LEVERAGE = 0.01
+"""Area between the speeds that both motors give a foot, relative to the squared length of the leg, below which torques
+say nothing about the force along the leg."""
+_KNEE_TURNS = np.array([-1j, 1j])
+"""Directions in which the motors of a five-bar leg turn their knees in the plane x + iz."""
+
+
+class FootKinematics(NamedTuple):
+    """Poses of the feet's links, and how motors move and load feet; complex numbers x + iz are in the legs' planes."""
+
+    pose: Array
+    """Position of the foot from the mount in the base frame [m] and orientation of its link [rad] (..., L, 5).
+
+    Orientation: abduction about +x, then, in the plane, the angle of the line from knee to foot about +y from straight
+    down.
+    """
+    speed: ComplexArray
+    """Derivatives of the position in the plane with respect to the last two motor angles (..., L, 2) [m/rad]."""
+    length: float
+    """Length of the straight leg [m]."""
+    arm: ComplexArray | None = None
+    """Position y + iz of the foot from the abduction axis, in the plane's frame, times the motor's sign (..., L) [m].
+
+    None without abduction."""
+    plane: ComplexArray | None = None
+    """Direction of the plane: e^(i abduction) (..., L)."""
+
+    def force(self, torque: Array) -> Array:
+        """Return the forces f (..., L, 3) [N] on the feet in the base frame that balance motor torques (..., L, m).
+
+        The power of force and torques is zero, J^T f = -torque. Directions with less leverage are left out,
+        and the force normal to the plane of a leg without abduction is 0.
+        """
+        min_lever, in_plane = MIN_LEVERAGE * self.length, torque[..., -2:]
+        x, z, swapped = self.speed.real, self.speed.imag, in_plane[..., ::-1]
+        area = x[..., 0] * z[..., 1] - z[..., 0] * x[..., 1]
+        along, upward = z * swapped, x * swapped
+        ahead, above = along[..., 0] - along[..., 1], upward[..., 1] - upward[..., 0]
+        weak = np.abs(area) < min_lever * self.length
+        if weak.any():
+            area = np.where(weak, np.square(np.abs(self.speed)).sum(axis=-1), area)
+            ahead, above = (
+                np.where(weak, -(part * in_plane).sum(axis=-1), force) for part, force in ((x, ahead), (z, above))
+            )
+        inverse = 1.0 / area
+        result = np.zeros((*area.shape, 3))
+        result[..., 0] = ahead * inverse
+        above = above * inverse
+        if self.arm is None or self.plane is None:
+            result[..., 2] = above
+            return result
+        lever, cos, sin = self.arm.imag, self.plane.real, self.plane.imag
+        weak = np.abs(lever) < min_lever
+        if weak.any():
+            lever = np.where(weak, np.inf, lever)
+        aside = (torque[..., 0] + self.arm.real * above) / lever
+        result[..., 1], result[..., 2] = cos * aside - sin * above, sin * aside + cos * above
+        return result
 
 
 class Legs(Protocol):
@@ -67,12 +126,8 @@ class Legs(Protocol):
     def jacobian(self, angles: ArrayLike) -> Array:
         """Return the Jacobian (..., L, 3, m) [m/rad] of `foot_position` with respect to the motor angles."""
 
-    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
-        """Return the orientation (..., L, 2) [rad] of the feet's links in the base frame.
-
-        Abduction about +x, then, in the leg's plane, the angle of the line from knee to foot about +y from straight
-        down. `foot` (..., L, 3) is what `foot_position` returns for the angles.
-        """
+    def foot_kinematics(self, angles: Array) -> FootKinematics:
+        """Return the poses of the feet's links for motor angles (..., L, m) [rad], and the motors' leverage."""
 
     def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
         """Return whether each leg (..., L) can assume these motor angles."""
@@ -166,13 +221,23 @@ class FiveBar:
         plane = knee_speed + (np.linalg.solve(along, right) - knee_speed) * (self.foot / self.lower[1])
         return np.insert(plane, 1, 0.0, axis=-2)
 
-    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
-        """Return the orientation (..., 2) [rad] of the lower link of motor 2: no abduction, and its angle about +y."""
-        _, theta_2 = _unstack(angles)
-        link = np.zeros((*theta_2.shape, 2))
-        ahead, above = foot[..., 0] + self.upper * np.sin(theta_2), foot[..., 2] - self.upper * np.cos(theta_2)
-        link[..., 1] = np.arctan2(-ahead, -above)
-        return link
+    def foot_kinematics(self, angles: Array) -> FootKinematics:
+        """Return the poses of the lower links of motor 2 for motor angles (..., 2) [rad], and the motors' leverage."""
+        knees = 1j * self.upper * np.exp(_KNEE_TURNS * angles)
+        across = knees[..., 0] - knees[..., 1]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            inverse = 1.0 / (across.real**2 + across.imag**2)
+            along = 0.5 + 0.5 * (self.lower[1] ** 2 - self.lower[0] ** 2) * inverse
+            link = across * (along - 1j * np.sqrt(self.lower[1] ** 2 * inverse - along**2))
+        # The pin keeps its distance from knee 1, while the link turns about knee 2.
+        other = np.conj(link - across)
+        turn = (other[..., None] * knees).imag / (other * link).imag[..., None]
+        to_foot = link * (self.foot / self.lower[1])
+        speed = (-1j * to_foot)[..., None] * turn
+        speed[..., 1] += 1j * knees[..., 1]
+        foot, pose = knees[..., 1] + to_foot, np.zeros((*link.shape, 5))
+        pose[..., 0], pose[..., 2], pose[..., 4] = foot.real, foot.imag, np.arctan2(-link.real, -link.imag)
+        return FootKinematics(pose, speed, self.length)
 
     def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
         """Return swing and extension (...) [rad] for foot positions (..., 2) [m] relative to the motor axis.

@@ -16,15 +16,17 @@ backward.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.arrays import Array
+from surefoot.arrays import Array, ComplexArray
 from surefoot.errors import SurefootError
 from surefoot.robot.data_sheet import Leg
+from surefoot.robot.leg import FootKinematics
 
 _AXIS_TOLERANCE = 1e-6
 """Tolerance of the cosine between a joint axis and an axis of the base."""
@@ -118,7 +120,27 @@ class SerialLegs:
         """Units of the coordinates; extension is relative to the straight leg's length."""
         return ("rad", "rad", "1") if self.abducts else ("rad", "1")
 
-    @property
+    @functools.cached_property
+    def _link_angles(self) -> Array:
+        """Directions of the upper link, and of the lower link from the upper one, at zero angles (L, 2) [rad]."""
+        return np.stack([self.upper_angle, self.lower_angle - self.upper_angle], axis=-1)
+
+    @functools.cached_property
+    def _plane_turn(self) -> Array:
+        """Sign with which hip and knee motors (L, 2) move the foot backward."""
+        return -self.turn[:, -2:]
+
+    @functools.cached_property
+    def _lengths(self) -> Array:
+        """Lengths of upper and lower links (L, 2) [m]."""
+        return np.stack([self.upper, self.lower], axis=-1)
+
+    @functools.cached_property
+    def _hip(self) -> ComplexArray:
+        """Position y + iz of the hip axis relative to the abduction axis at zero angles (L,) [m]."""
+        return self.hip[:, 0] + 1j * self.hip[:, 1]
+
+    @functools.cached_property
     def length(self) -> float:
         """Mean length of the straight legs [m]."""
         return float(np.mean(self.upper + self.lower))
@@ -207,10 +229,24 @@ class SerialLegs:
             columns = [np.stack([np.zeros_like(cos), -foot[..., 2], foot[..., 1]], -1), *columns]
         return np.stack(columns, axis=-1) * self.turn[:, None, :]
 
-    def foot_link_angles(self, angles: ArrayLike, foot: Array) -> Array:
-        """Return the orientation (..., L, 2) [rad] of the lower links: abduction about +x, then the angle about +y."""
-        abduction, upper, beta = self._joints(angles)
-        return np.stack([abduction, upper + beta], axis=-1)
+    def foot_kinematics(self, angles: Array) -> FootKinematics:
+        """Return the poses of the lower links for motor angles (..., L, m) [rad], and the motors' leverage."""
+        joints = angles * self.turn
+        links = joints[..., -2:] + self._link_angles
+        links[..., 1] += links[..., 0]
+        pose = np.zeros((*links.shape[:-1], 5))
+        # From knee to hip and foot to hip axis, turned by a right angle about +y.
+        parts = self._lengths * np.exp(-1j * links)
+        parts[..., 0] += parts[..., 1]
+        whole = parts[..., 0]
+        pose[..., 0], pose[..., 4] = whole.imag, links[..., 1]
+        if not self.abducts:
+            pose[..., 1], pose[..., 2] = self.hip[:, 0], self.hip[:, 1] - whole.real
+            return FootKinematics(pose, parts * self._plane_turn, self.length)
+        arm, plane = self._hip - 1j * whole.real, np.exp(1j * joints[..., 0])
+        foot = arm * plane
+        pose[..., 1], pose[..., 2], pose[..., 3] = foot.real, foot.imag, joints[..., 0]
+        return FootKinematics(pose, parts * self._plane_turn, self.length, arm * self.turn[:, 0], plane)
 
     def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
         """Return true for each leg (..., L) with finite angles: a serial leg has no loop that must close."""
