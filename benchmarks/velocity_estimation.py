@@ -13,6 +13,7 @@ constants of the estimator were chosen on runs with seed 100.
 from __future__ import annotations
 
 import csv
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from surefoot.arrays import Array
 from surefoot.estimation.interface import MotionReadings
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.evaluation.conditions import Condition
-from surefoot.evaluation.estimated_motion import EstimatedMotion, estimate_motion
+from surefoot.evaluation.estimated_motion import EstimatedMotion, estimate_intervals, estimate_motion, with_motion
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.robot import RobotDescription
 from surefoot.robot.randomization import load_ranges
@@ -48,7 +49,7 @@ CASES = {
 DURATION = 10.0
 """Length of an episode [s]."""
 STEPS = 2000
-"""Updates of which the median time is taken."""
+"""Updates whose times are measured."""
 WINDOW = 0.5
 """Time [s] over which errors of the velocity are averaged: about a stride."""
 
@@ -82,6 +83,8 @@ class EstimationErrors:
     """Root mean square error of the path length of a run, over the mean path length."""
     distance_bias: float
     """Ratio of the sum of estimated path lengths to the sum of true ones, minus 1."""
+    covered: float
+    """Fraction of runs whose distance along x is in its 95 % interval."""
 
     @classmethod
     def from_runs(cls, traces: Sequence[EpisodeTrace], motions: Sequence[EstimatedMotion]) -> EstimationErrors:
@@ -89,7 +92,7 @@ class EstimationErrors:
 
         Path lengths come from the mean velocities over `WINDOW`, so that steps do not count.
         """
-        errors, normalized, lengths = [], [], []
+        errors, normalized, lengths, covered = [], [], [], []
         for trace, motion in zip(traces, motions, strict=True):
             truth, count = true_motion(trace), max(round(WINDOW / trace.meta["control_step"]), 1)
             if trace.num_steps < count:
@@ -97,6 +100,12 @@ class EstimationErrors:
             means, true_means = (window_means(velocity, count) for velocity in (motion.velocity, truth))
             errors.append(means - true_means)
             normalized.append((motion.velocity - truth)[:, :2] ** 2 / motion.variance[:, :2])
+            estimated_run = with_motion(trace, motion)
+            distance = forward_distance(trace)
+            low, high = estimate_intervals([estimated_run], {"distance_mean": forward_distance(estimated_run)})[
+                "distance_mean"
+            ]
+            covered.append(low <= distance <= high)
             lengths.append([np.hypot(*velocity[:, :2].T).sum() * WINDOW for velocity in (means, true_means)])
         error, (estimated, true) = np.concatenate(errors), np.array(lengths).T
         return cls(
@@ -105,7 +114,14 @@ class EstimationErrors:
             normalized=float(np.sqrt(np.concatenate(normalized).mean())),
             distance_rmse=float(np.sqrt(((estimated - true) ** 2).mean()) / true.mean()),
             distance_bias=float(estimated.sum() / true.sum() - 1.0),
+            covered=float(np.mean(covered)),
         )
+
+
+def forward_distance(trace: EpisodeTrace) -> float:
+    """Return the distance of a run along its first heading [m]."""
+    moved = trace.base_position_world[-1:] - trace.base_position_world[:1]
+    return float(in_heading_frame(moved, quat_yaw(trace.base_quat_world[:1]))[0, 0])
 
 
 def window_means(values: Array, count: int) -> Array:
@@ -144,11 +160,12 @@ def measure(name: str, world: str, episodes: int, seed: int, threads: int) -> di
         "distance_rmse": round(errors.distance_rmse, 4),
         "distance_bias": round(errors.distance_bias, 4),
         "normalized": round(errors.normalized, 2),
+        "covered": round(errors.covered, 3),
     }
 
 
-def update_time(name: str) -> float:
-    """Return the median time of an update of one robot [s]."""
+def update_times(name: str) -> Array:
+    """Return the times of updates of one robot (STEPS,) [s]."""
     robot, random = RobotDescription.load(name), np.random.default_rng(0)
     estimator, times = LeggedOdometry(robot), []
     for _ in range(STEPS):
@@ -163,14 +180,20 @@ def update_time(name: str) -> float:
         start = time.perf_counter()
         estimator.update(readings)
         times.append(time.perf_counter() - start)
-    return float(np.median(times))
+    return np.array(times)
+
+
+def load() -> float:
+    """Return the number of processes that use processors, mean of the last minute: others make updates slower."""
+    return os.getloadavg()[0]
 
 
 def main(command: Command) -> None:
     """Measure the cases that are asked for."""
     if command.cost:
         for name in ("minitaur", "go2"):
-            print(f"{name}: {1e3 * update_time(name):.3f} ms an update, median of {STEPS}")
+            low, median, high = 1e3 * np.quantile(update_times(name), (0.05, 0.5, 0.95))
+            print(f"{name}: {median:.3f} ms an update, 5 % below {low:.3f}, 5 % above {high:.3f}; load {load():.1f}")
         return
     path = command.out / "velocity.csv"
     table: dict[str, dict[str, Any]] = {}

@@ -206,6 +206,7 @@ def test_the_motion_of_a_robot_without_a_measured_position_is_estimated(
     travelled = trace.base_position_world[-1, 0] - trace.base_position_world[0, 0]
     assert float(rows["distance"].split()[0]) == pytest.approx(travelled, rel=0.05, abs=0.05)
     assert "are estimated from IMU and legs" in done.stdout
+    assert re.search(r"intervals of the estimates: distance .* to .*, speed .* to .*, return .* to ", done.stdout)
     assert rows["power"] == f"{trace.energy.sum() / trace.duration:.3f} W"
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["episode.png"]
 

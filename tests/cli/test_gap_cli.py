@@ -128,6 +128,11 @@ def test_a_robot_without_motion_capture_has_an_estimated_return(here: Path):
     # These runs last a third of a second, in which the trot begins.
     assert estimated["return_mean"] == pytest.approx(measured["return_mean"], abs=0.03)
     assert abs(estimated["distance_mean"]) > 0.01
+    intervals = output["estimated_intervals"]["trot"]
+    (world,) = intervals
+    assert set(intervals[world]) == {"distance_mean", "speed_mean", "return_mean", "gap"}
+    low, high = intervals[world]["return_mean"]
+    assert low < estimated["return_mean"] < high < low + 0.1
 
 
 def test_the_same_worlds_have_no_gap(here: Path):

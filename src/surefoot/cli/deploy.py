@@ -196,9 +196,14 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
 def _result(
     outcome: RunOutcome, timing: LoopTiming, saved: SavedRun, steps: int, robot: RobotDescription
 ) -> dict[str, Any]:
-    from surefoot.evaluation.estimated_motion import is_estimated, path_length, with_estimated_motion
+    from surefoot.evaluation.estimated_motion import (
+        estimate_intervals,
+        is_estimated,
+        path_length,
+        with_estimated_motion,
+    )
 
-    speed = distance = path = None
+    speed = distance = path = interval = None
     estimated = False
     if saved.trace is not None:
         trace = with_estimated_motion(saved.trace, robot)
@@ -207,6 +212,8 @@ def _result(
             distance = float(forward[-1] - forward[0])
             speed = distance / trace.duration
             path = path_length(trace)
+            if estimated:
+                interval = estimate_intervals([trace], {"distance_mean": distance})["distance_mean"]
     return {
         "ended": outcome.ended,
         "reason": outcome.reason,
@@ -215,6 +222,7 @@ def _result(
         "trace": str(saved.path) if saved.path is not None else None,
         "distance": distance,
         "speed": speed,
+        "distance_interval": interval,
         "path": path,
         "estimated": estimated,
         "notes": saved.notes,
@@ -259,7 +267,9 @@ def _print_result(result: dict[str, Any], is_steered: bool) -> None:
             # A steered robot may come back to where it started.
             parts.append(f"path of {result['path']:.2f} m{how}")
         else:
-            parts.append(f"{result['distance']:.2f} m at {result['speed']:.2f} m/s{how}")
+            ends = result["distance_interval"]
+            likely = f" (95 %: {ends[0]:.2f} to {ends[1]:.2f})" if ends is not None else ""
+            parts.append(f"{result['distance']:.2f} m{likely} at {result['speed']:.2f} m/s{how}")
     if metrics["lateness_median_ms"] is not None:
         late = "/".join(f"{metrics[f'lateness_{key}_ms']:.2f}" for key in ("median", "p99_9", "max"))
         parts.append(f"lateness {late} ms (median/99.9 %/max)")

@@ -77,6 +77,10 @@ def main(argv: list[str]) -> int:
     if command.trace:
         summary["stopped"] = sum(trace.meta["ended"] == "stopped" for trace in traces)
     summary |= about | {"robot": robot.name}
+    if "estimated" in summary:
+        from surefoot.evaluation.estimated_motion import estimate_intervals
+
+        summary["estimated_intervals"] = estimate_intervals(traces, summary)
     if command.out is not None:
         files = [] if command.trace else [t.save(command.out / f"episode_{i:03d}.npz") for i, t in enumerate(traces)]
         figures = draw_episode(command.out, traces[0], robot)
@@ -90,9 +94,10 @@ def main(argv: list[str]) -> int:
     else:
         print_summaries({f"{summary['policy']} in {summary['world']}": summary}, reward)
         if "estimated" in summary:
-            from surefoot.evaluation.estimated_motion import NOTE
+            from surefoot.evaluation.estimated_motion import NOTE, interval_text
 
             print(NOTE)
+            print(interval_text(summary["estimated_intervals"]))
         for file in summary.get("files", []):
             if file.endswith(".png"):
                 print(f"wrote {file}")
@@ -162,7 +167,7 @@ def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation
         option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
         raise SurefootError(f"--trace and {option} are given; recorded runs are measured without a simulation")
     from surefoot.api.results import Evaluation
-    from surefoot.evaluation.estimated_motion import DISTANCE_ERRORS, is_estimated, with_estimated_motion
+    from surefoot.evaluation.estimated_motion import is_estimated, with_estimated_motion
     from surefoot.evaluation.recorded import find_traces, load_robot
     from surefoot.robot import RobotDescription
 
@@ -178,5 +183,5 @@ def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation
     traces = [with_estimated_motion(trace, robot) for _, trace in recorded]
     about: dict[str, Any] = {"traces": [str(path) for path, _ in recorded]}
     if estimated := [str(path) for (path, _), trace in zip(recorded, traces, strict=True) if is_estimated(trace)]:
-        about |= {"estimated": estimated, "estimated_distance_errors": DISTANCE_ERRORS}
+        about["estimated"] = estimated
     return Evaluation.from_traces(traces, robot), robot, about

@@ -226,7 +226,7 @@ def _report(
     runs: dict[str, dict[str, RecordedTraces]],
 ) -> None:
     """Measure the runs of each policy in each world; write tables and figure, and print the results."""
-    from surefoot.evaluation.estimated_motion import DISTANCE_ERRORS, NOTE, is_estimated
+    from surefoot.evaluation.estimated_motion import NOTE, estimate_intervals, interval_text, is_estimated
     from surefoot.evaluation.gap import PolicyGap, gap_cells
     from surefoot.evaluation.runs import measure_runs
     from surefoot.report.figures.gap import gap_figure
@@ -250,6 +250,14 @@ def _report(
         figures.append(side_by_side(traces, out / name / "runs.png", name))
     pooled = [PolicyGap.pooled("all policies", gaps)] if len(gaps) > 1 else []
     rows = {gap.name: gap.rows() for gap in (*gaps, *pooled)}
+    intervals = {
+        gap.name: {
+            row["world"]: estimate_intervals(part, row)
+            for row in rows[gap.name]
+            if any(map(is_estimated, part := [trace for _, trace in runs[gap.name][row["world"]]]))
+        }
+        for gap in gaps
+    }
     files = [
         write_csv(out / "gap.csv", [row for part in rows.values() for row in part]),
         write_csv(out / "episodes.csv", episodes),
@@ -266,6 +274,9 @@ def _report(
         print_table(texts, title, 2)
         if estimated:
             print(NOTE)
+        for name, worlds in intervals.items():
+            for world, ends in worlds.items():
+                print(f"{name} in {world}: {interval_text(ends)}")
         print_files(files, out)
         first = next(iter(runs.values()))
         print(show_command(recorded[0][0] for recorded in first.values()))
@@ -290,7 +301,7 @@ def _report(
             for one in candidates
         ],
         "pooled": plain[pooled[0].name] if pooled else None,
-        **({"estimated": estimated, "estimated_distance_errors": DISTANCE_ERRORS} if estimated else {}),
+        **({"estimated": estimated, "estimated_intervals": intervals} if estimated else {}),
         "files": [str(file) for file in files],
     }
     print_json(result)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,12 +16,20 @@ from surefoot.robot import RobotDescription
 from surefoot.rotations import from_base_frame, from_heading_frame, rpy_quat
 from surefoot.task.trace import EpisodeTrace
 
-DISTANCE_ERRORS = {"trot": 0.03, "gallop": 0.09}
-"""Root mean square errors of the distance of runs, relative, by gait: in simulation with the ranges of table I."""
+LASTING_ERROR = 0.12
+"""Standard deviation of the part of the velocity's error that lasts for a whole run, relative to the standard deviation
+of its errors that the filter states: measured on simulated robots, see results/estimation."""
+ERROR_TIME = 0.03
+"""Time for which the rest of the error lasts [s]."""
+SCALE_ERROR = 0.01
+"""Relative standard deviation of the distance: lengths of legs and radius of feet."""
+HEADING_ERROR = 0.02
+"""Standard deviation of the mean yaw over a run [rad]."""
+NORMAL_95 = 1.96
+"""Standard deviations on either side of the mean within which 95 percent of a normal distribution are."""
 NOTE = (
     "speed, distance and return are estimated from IMU and legs, as nothing measured the motion of the base; "
-    f"in simulation the distance is {DISTANCE_ERRORS['trot']:.0%} off in trots and {DISTANCE_ERRORS['gallop']:.0%} in "
-    "a gallop, see docs/estimation.md"
+    "see docs/estimation.md"
 )
 """What to know of numbers that come from estimated motion."""
 PATH_WINDOW = 0.5
@@ -124,6 +133,11 @@ def with_estimated_motion(trace: EpisodeTrace, robot: RobotDescription) -> Episo
     if is_measured or trace.is_imported or trace.meta.get("dry_run"):
         return trace
     (motion,) = estimate_motion([trace], robot)
+    return with_motion(trace, motion)
+
+
+def with_motion(trace: EpisodeTrace, motion: EstimatedMotion) -> EpisodeTrace:
+    """Return a run with its estimated motion and the error of its distance, see `with_estimated_motion`."""
     yaw = np.unwrap(trace.roll_pitch_yaw[:, 2])
     yaw = yaw - yaw[0]
     middle = (yaw + np.concatenate([yaw[:1], yaw[:-1]])) / 2
@@ -133,9 +147,46 @@ def with_estimated_motion(trace: EpisodeTrace, robot: RobotDescription) -> Episo
     height = np.concatenate([motion.height[:1], motion.height])
     attitude = np.column_stack([trace.roll_pitch_yaw[:, :2], yaw])
     quat = np.array([rpy_quat(*row) for row in attitude[[0, *range(trace.num_steps)]].tolist()])
+    # Errors of the velocity turn with the robot.
+    spread = np.sqrt(motion.variance[:, :1]) * step
+    lasting = LASTING_ERROR * (spread * np.column_stack([np.cos(middle), np.sin(middle)])).sum(axis=0)
+    passing = np.sqrt(2.0 * ERROR_TIME * (motion.variance[:, :1] * step).sum())
+    ahead, left = place[-1]
+    error = np.linalg.norm([*lasting, passing, SCALE_ERROR * ahead, HEADING_ERROR * left])
     return replace(
         trace,
         base_position_world=np.column_stack([place, height]),
         base_quat_world=quat,
-        meta={**trace.meta, "estimated": ["base_position_world", "base_quat_world"]},
+        meta={
+            **trace.meta,
+            "estimated": ["base_position_world", "base_quat_world"],
+            "distance_error": float(error),
+        },
     )
+
+
+def estimate_intervals(traces: Sequence[EpisodeTrace], metrics: Mapping[str, Any]) -> dict[str, list[float]]:
+    """Return the 95 % intervals of mean distance, speed, return and gap of runs, from errors of estimated motion alone.
+
+    All runs of a robot have a similar error, so that their mean has it too. Measured runs have none.
+
+    Args:
+        traces: the runs.
+        metrics: their means; those of `distance_mean`, `speed_mean`, `return_mean` and `gap` that are known get an
+            interval of the same name.
+    """
+    errors = np.array([trace.meta.get("distance_error", np.nan) if is_estimated(trace) else 0.0 for trace in traces])
+    width, speed_width = (NORMAL_95 * np.mean(values) for values in (errors, errors / [one.duration for one in traces]))
+    widths = {"distance_mean": width, "speed_mean": speed_width, "return_mean": width, "gap": width}
+    means = {name: metrics.get(name) for name in widths}
+    return {
+        name: [float(mean - widths[name]), float(mean + widths[name])]
+        for name, mean in means.items()
+        if mean is not None and np.isfinite(mean)
+    }
+
+
+def interval_text(intervals: Mapping[str, Sequence[float]]) -> str:
+    """Return intervals of `estimate_intervals` as text."""
+    parts = [f"{name.removesuffix('_mean')} {low:.2f} to {high:.2f}" for name, (low, high) in intervals.items()]
+    return f"95 % intervals of the estimates: {', '.join(parts)}"

@@ -103,6 +103,8 @@ class FurtherMeta:
     """Robot: reason for the end of the run, in a sentence."""
     estimated: tuple[str, ...] = ()
     """Robot: columns that were not measured, but estimated from the others."""
+    distance_error: float | None = None
+    """Robot: standard deviation of the distance along x [m], if it was estimated."""
     missed_steps: tuple[int, ...] = ()
     """Robot: rows of missed control steps, from 0, which repeat the previous step."""
     timing: dict[str, Any] = field(default_factory=dict)
