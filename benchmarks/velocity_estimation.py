@@ -3,6 +3,7 @@
     python benchmarks/velocity_estimation.py
     python benchmarks/velocity_estimation.py --world bullet --cases go2-steer --episodes 32
     python benchmarks/velocity_estimation.py --cost
+    python benchmarks/velocity_estimation.py --emulated 10
 
 Every episode draws its robot from table I, with delays and noise of its sensors, as `surefoot evaluate --randomize
 table1` does, and its commands. The estimator gets what the robot's computer gets: delayed and noisy readings. Errors
@@ -13,10 +14,14 @@ constants of the estimator were chosen on runs with seed 100.
 from __future__ import annotations
 
 import csv
+import json
 import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +51,12 @@ CASES = {
     "gallop": ("gallop", "flat"),
 }
 """Policy and terrain by name."""
+POLICY = "trot-robust"
+"""Policy of the emulated robot."""
+EMULATED = ("--hidden-seed", "7")
+"""Options of the emulated robot: parameters of table I that differ from the data sheet."""
+UNSEEN = ("base_position_world", "base_quat_world", "foot_contact", "foot_position_world", "true_motor_angle")
+"""Columns that only motion capture measures."""
 DURATION = 10.0
 """Length of an episode [s]."""
 STEPS = 2000
@@ -65,6 +76,8 @@ class Command:
     threads: int = 0
     cost: bool = False
     """Measure the time of an update of one robot only."""
+    emulated: int = 0
+    """Number of runs of the emulated robot whose return is estimated and measured, instead of simulations."""
     out: Path = RESULTS
 
 
@@ -183,6 +196,43 @@ def update_times(name: str) -> Array:
     return np.array(times)
 
 
+def compare_returns(runs: int) -> dict[str, Any]:
+    """Deploy `POLICY` on an emulated robot; return its gap from runs with motion capture to the same without it."""
+    command = (sys.executable, "-m", "surefoot")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        robot, capture, measured, estimated = (
+            folder / part for part in ("robot", "mocap.csv", "measured", "estimated")
+        )
+        emulator = subprocess.Popen(
+            [*command, "emulate", "--lockstep", "--symlink", robot, "--out", capture, *EMULATED],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert emulator.stdout is not None
+            emulator.stdout.readline()
+            words = ["--port", robot, "--lockstep", "--episodes", str(runs), "--duration", str(DURATION)]
+            words += ["--motion-capture", capture, "--out", measured]
+            subprocess.run([*command, "deploy", POLICY, *words], check=True)
+        finally:
+            emulator.terminate()
+            emulator.wait()
+        for path in sorted(measured.glob("*.npz")):
+            trace = EpisodeTrace.load(path)
+            unknown = {name: np.full_like(getattr(trace, name), np.nan) for name in UNSEEN}
+            replace(trace, **unknown).save(estimated / path.name)
+        words = ["--from", "trace", measured, "--to", "trace", estimated, "--duration", str(DURATION)]
+        done = subprocess.run(
+            [*command, "gap", POLICY, *words, "--out", folder / "gap", "--json"],
+            check=True,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+    output: dict[str, Any] = json.loads(done.stdout)
+    return output
+
+
 def load() -> float:
     """Return the number of processes that use processors, mean of the last minute: others make updates slower."""
     return os.getloadavg()[0]
@@ -194,6 +244,16 @@ def main(command: Command) -> None:
         for name in ("minitaur", "go2"):
             low, median, high = 1e3 * np.quantile(update_times(name), (0.05, 0.5, 0.95))
             print(f"{name}: {median:.3f} ms an update, 5 % below {low:.3f}, 5 % above {high:.3f}; load {load():.1f}")
+        return
+    if command.emulated:
+        output = compare_returns(command.emulated)
+        home, away = output["policies"][0]["worlds"]
+        ((low, high),) = (ends["return_mean"] for ends in output["estimated_intervals"][POLICY].values())
+        difference = away["return_mean"] / home["return_mean"] - 1.0
+        print(
+            f"{POLICY}, {home['runs']} runs of {DURATION:g} s: return {home['return_mean']:.3f} m with motion capture, "
+            f"{away['return_mean']:.3f} m ({low:.3f} to {high:.3f}) without it: {difference:+.1%}"
+        )
         return
     path = command.out / "velocity.csv"
     table: dict[str, dict[str, Any]] = {}

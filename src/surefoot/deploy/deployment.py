@@ -218,7 +218,7 @@ class Deployment:
         controller.reset()
         speedometer, shown = None, 0
         if self.monitor.shows_speed:
-            speedometer = Speedometer(self.robot, self.contract.control_step)
+            speedometer = Speedometer(self.robot, self.contract.control_step, self.link.lead)
         clamped = ""
 
         def compute(k: int, state: State, missed: int) -> Array:

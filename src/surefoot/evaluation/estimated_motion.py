@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.estimation.interface import MotionReadings, VelocityEstimator
+from surefoot.estimation.interface import MotionReadings, VelocityEstimator, torque_lead
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.robot import RobotDescription
 from surefoot.rotations import from_base_frame, from_heading_frame, rpy_quat
@@ -61,11 +61,11 @@ def estimate_motion(
 ) -> list[EstimatedMotion]:
     """Estimate the motion in runs of one robot, all runs together.
 
-    Only the robot's own readings are used. A simulation records the torques of the present and all other readings as
-    old as its control latency; its torques are delayed like them.
+    Only the robot's own readings are used. Simulations and robots record torques of the present and all other readings
+    as old as the control latency; torques are delayed like them. The latency of a robot is that of its data sheet.
     """
     kept = [_kept_rows(trace) for trace in traces]
-    columns = [_readings(trace, rows) for trace, rows in zip(traces, kept, strict=True)]
+    columns = [_readings(trace, rows, robot) for trace, rows in zip(traces, kept, strict=True)]
     steps = max(map(len, kept))
     padded = {name: np.stack([_padded(one[name], steps) for one in columns], axis=1) for name in columns[0]}
     estimator, results = make(robot, len(traces)), []
@@ -96,11 +96,9 @@ def _kept_rows(trace: EpisodeTrace) -> NDArray[np.int64]:
     return rows[~np.isin(rows + 1, trace.meta.get("missed_steps", ()))]
 
 
-def _readings(trace: EpisodeTrace, rows: NDArray[np.int64]) -> dict[str, Array]:
-    torque = trace.motor_torque
-    # Only simulations know their latency.
-    if latency := trace.meta["params"].get("control_latency", 0.0):
-        torque = np.stack([np.interp(trace.time - latency, trace.time, one) for one in torque.T], axis=-1)
+def _readings(trace: EpisodeTrace, rows: NDArray[np.int64], robot: RobotDescription) -> dict[str, Array]:
+    delay = trace.meta["params"].get("control_latency", torque_lead(robot, trace.meta.get("lead") or 0.0))
+    torque = np.stack([np.interp(trace.time - delay, trace.time, one) for one in trace.motor_torque.T], axis=-1)
     return {
         "duration": np.diff(trace.time[rows], prepend=0.0),
         "roll_pitch_yaw": trace.roll_pitch_yaw[rows],
