@@ -76,7 +76,8 @@ class FootOdometry:
             legs = replace(legs, foot=legs.foot - legs.foot_radius, foot_radius=0.0)
         self._legs = legs
         self._mounts, index = np.pad(robot.leg_mounts, ((0, 0), (0, 2))), robot.leg_motor_index
-        self._columns = index + robot.num_motors * np.arange(3)[:, None, None]
+        self._shape = (-1, *index.shape)
+        self._order = None if np.array_equal(index.ravel(), np.arange(robot.num_motors)) else index
         self._share = robot.weight / len(robot.legs)
         inertia = robot.nominal_params().get("rotor_inertia", 0.0)
         inertia = np.broadcast_to(np.asarray(inertia, float), (robot.num_motors,))[index]
@@ -92,9 +93,10 @@ class FootOdometry:
 
     def update(self, readings: MotionReadings) -> FootObservations:
         """Return what the feet imply for the time since the readings before; of the first ones, that they rest."""
-        motors = np.concatenate((readings.motor_angle, readings.motor_velocity, readings.motor_torque), axis=1)
-        of_legs = motors.take(self._columns, axis=1)
-        angles, speeds, torque = of_legs[:, 0], of_legs[:, 1], of_legs[:, 2]
+        angles, speeds, torque = (
+            values.reshape(self._shape) if self._order is None else values.take(self._order, axis=1)
+            for values in (readings.motor_angle, readings.motor_velocity, readings.motor_torque)
+        )
         rate, duration = readings.angular_velocity_base, readings.duration[:, None, None]
         feet = self._legs.foot_kinematics(angles)
         pose = feet.pose
@@ -104,27 +106,29 @@ class FootOdometry:
         axes = np.empty((len(rate), 2, 3))
         axes[:, 0], axes[:, 1] = up_direction(readings.roll_pitch_yaw), 0.5 * (rate + old_rate)
         # Per foot, the turn of its link times its radius, and its centre: what crosses `axes`.
-        aside, pitch, arms = mean[..., 3], change[..., 4], np.empty((*pose.shape[:-1], 6))
-        arms[..., 0], arms[..., 1], arms[..., 2] = change[..., 3], np.cos(aside) * pitch, np.sin(aside) * pitch
-        arms[..., :3] += axes[:, 1:]
+        arms = np.empty((*pose.shape[:-1], 6))
+        arms[..., :3], arms[..., 3:], pitch = axes[:, 1:], mean[..., :3], change[..., 4]
+        if feet.plane is None:
+            arms[..., 1] += pitch
+        else:
+            arms[..., 0] += change[..., 3]
+            arms[..., 1] += feet.plane.real * pitch
+            arms[..., 2] += feet.plane.imag * pitch
         arms[..., :3] *= self._radius[:, None]
-        arms[..., 3:] = mean[..., :3]
         cross = axes @ _CROSS
         velocity = arms @ cross.reshape(-1, 6, 3) - change[..., :3]
         if self._inertia is not None:
-            torque -= self._inertia * ((speeds - old_speeds) / duration)
+            torque = torque - self._inertia * ((speeds - old_speeds) / duration)
         force, upward = feet.force(torque), axes[:, 0, :, None]
         load = (force @ upward)[..., 0] / self._share
-        is_finite = math.isfinite(np.add.reduce(load, axis=None) + np.add.reduce(velocity, axis=None))
+        # Implicit Euler: the force of the sole's spring follows the force on the foot.
+        sole = force if sole is None else sole
+        step = (force - sole) / (duration + self._sole_time)
+        moved = velocity - self._compliance * step
+        is_finite = math.isfinite(np.add.reduce(moved, axis=None))
         if not is_finite:
-            force = np.where(np.isfinite(force), force, 0.0 if sole is None else sole)
-        if sole is None:
-            sole = force
-        else:
-            # Implicit Euler: the force of the sole's spring follows the force on the foot.
-            step = (force - sole) / (duration + self._sole_time)
-            sole = sole + step * duration
-            velocity -= self._compliance * step
-        self._before = pose, speeds, rate, sole
+            step = np.where(np.isfinite(step), step, 0.0)
+            sole, moved = np.where(np.isfinite(sole), sole, 0.0), velocity - self._compliance * step
+        self._before = pose, speeds, rate, sole + step * duration
         height = (pose[..., :3] @ upward)[..., 0] - self._radius
-        return FootObservations(axes[:, 0], cross[:, 1].reshape(-1, 3, 3), velocity, height, load, is_finite)
+        return FootObservations(axes[:, 0], cross[:, 1].reshape(-1, 3, 3), moved, height, load, is_finite)

@@ -42,10 +42,8 @@ MEASURED_ACCELERATION = 0.05
 """Standard deviation of a measured acceleration [g]: a tilt of 0.05 rad that the IMU does not know."""
 START = 0.1
 """Standard deviation of the velocity at the start [sqrt(g l)]: robots stand."""
-HEIGHT_NOISE = 0.1
-"""Standard deviation of the height over a standing foot [l]: the attitude's error over the distance of the foot."""
-HEIGHT_CHANGE = 0.1
-"""Standard deviation of the change of the ground's height under the feet in the time sqrt(l / g), [l]."""
+HEIGHT_INFORMATION = 3.0
+"""Information of the predicted height relative to the height over a standing foot: feet stand at different heights."""
 
 _EYE = np.eye(3)
 
@@ -67,8 +65,6 @@ class LeggedOdometry:
         self._measured_walk = (MEASURED_ACCELERATION * GRAVITY) ** 2 * ACCELERATION_TIME * time
         self._nearness = np.array([1.0, 1.0, 1.0, 0.0]) / (DEGREES * self._foot_variance)
         self._start_variance = (START * speed) ** 2
-        # In units of the variance of the height over a standing foot.
-        self._height_walk = (HEIGHT_CHANGE / HEIGHT_NOISE) ** 2 / time
         self.reset()
 
     def reset(self) -> None:
@@ -77,7 +73,7 @@ class LeggedOdometry:
         self._velocity = np.zeros((self._num_envs, 1, 3))
         self._variance = np.full((self._num_envs, 1, 1), self._start_variance)
         self._height = np.zeros((self._num_envs, 1, 1))
-        self._height_variance = np.full((self._num_envs, 1, 1), 1e6)
+        self._height_information = 1e-6
 
     def update(self, readings: MotionReadings) -> VelocityEstimate:
         """Take the readings of a control step and return the estimate for their time."""
@@ -145,10 +141,9 @@ class LeggedOdometry:
             duration: time since the readings before (N, 1, 1) [s].
         """
         predicted = self._height + (self._velocity @ up[:, :, None]) * duration
-        information = 1.0 / (self._height_variance + self._height_walk * duration)
-        total = information + np.add.reduce(contact, axis=2, keepdims=True)
-        self._height = (information * predicted - contact @ above) / total
-        self._height_variance = 1.0 / total
+        total = self._height_information + np.add.reduce(contact, axis=2, keepdims=True)
+        self._height = (self._height_information * predicted - contact @ above) / total
+        self._height_information = HEIGHT_INFORMATION
 
 
 def _known_load(load: Array, expected: Array | None) -> Array:

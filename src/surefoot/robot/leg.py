@@ -61,8 +61,8 @@ class FootKinematics(NamedTuple):
         area = x[..., 0] * z[..., 1] - z[..., 0] * x[..., 1]
         along, upward = z * swapped, x * swapped
         ahead, above = along[..., 0] - along[..., 1], upward[..., 1] - upward[..., 0]
-        weak = np.abs(area) < min_lever * self.length
-        if weak.any():
+        if np.minimum.reduce(np.abs(area), axis=None) < min_lever * self.length:
+            weak = np.abs(area) < min_lever * self.length
             area = np.where(weak, np.square(np.abs(self.speed)).sum(axis=-1), area)
             ahead, above = (
                 np.where(weak, -(part * in_plane).sum(axis=-1), force) for part, force in ((x, ahead), (z, above))
@@ -75,9 +75,8 @@ class FootKinematics(NamedTuple):
             result[..., 2] = above
             return result
         lever, cos, sin = self.arm.imag, self.plane.real, self.plane.imag
-        weak = np.abs(lever) < min_lever
-        if weak.any():
-            lever = np.where(weak, np.inf, lever)
+        if np.minimum.reduce(np.abs(lever), axis=None) < min_lever:
+            lever = np.where(np.abs(lever) < min_lever, np.inf, lever)
         aside = (torque[..., 0] + self.arm.real * above) / lever
         result[..., 1], result[..., 2] = cos * aside - sin * above, sin * aside + cos * above
         return result
