@@ -274,8 +274,8 @@ def _report(
         print_table(texts, title, 2)
         if estimated:
             print(NOTE)
-        for name, worlds in intervals.items():
-            for world, ends in worlds.items():
+        for name, by_world in intervals.items():
+            for world, ends in by_world.items():
                 print(f"{name} in {world}: {interval_text(ends)}")
         print_files(files, out)
         first = next(iter(runs.values()))
