@@ -7,5 +7,3 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 """Array in double precision; docstrings state its shape."""
-ComplexArray = NDArray[np.complex128]
-"""Complex array in double precision."""

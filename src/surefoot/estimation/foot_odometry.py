@@ -108,12 +108,13 @@ class FootOdometry:
         # Per foot, the turn of its link times its radius, and its centre: what crosses `axes`.
         arms = np.empty((*pose.shape[:-1], 6))
         arms[..., :3], arms[..., 3:], pitch = axes[:, 1:], mean[..., :3], change[..., 4]
-        if feet.plane is None:
+        if feet.abduction is None:
             arms[..., 1] += pitch
         else:
+            cos, sin, _, _ = feet.abduction
             arms[..., 0] += change[..., 3]
-            arms[..., 1] += feet.plane.real * pitch
-            arms[..., 2] += feet.plane.imag * pitch
+            arms[..., 1] += cos * pitch
+            arms[..., 2] += sin * pitch
         arms[..., :3] *= self._radius[:, None]
         cross = axes @ _CROSS
         velocity = arms @ cross.reshape(-1, 6, 3) - change[..., :3]

@@ -40,6 +40,8 @@ ACCELERATION_TIME = 0.3
 """Time [sqrt(l / g)] for which such an acceleration lasts."""
 MEASURED_ACCELERATION = 0.05
 """Standard deviation of a measured acceleration [g]: a tilt of 0.05 rad that the IMU does not know."""
+NO_LOAD = -1e3
+"""Load of a leg that can't close: its foot does not stand."""
 START = 0.1
 """Standard deviation of the velocity at the start [sqrt(g l)]: robots stand."""
 HEIGHT_INFORMATION = 3.0
@@ -79,12 +81,12 @@ class LeggedOdometry:
         """Take the readings of a control step and return the estimate for their time."""
         feet = self._odometry.update(readings)
         velocity, load, above = feet.velocity, feet.load, feet.height[:, :, None]
-        can_stand: Array | float = 1.0
         if not feet.is_finite:
-            finite = np.asarray(np.isfinite(velocity).all(axis=-1))  # a leg that can't close
-            velocity, above = (np.where(finite[:, :, None], values, 0.0) for values in (velocity, above))
-            load, can_stand = _known_load(load, readings.expected_load), finite.astype(float)
-        standing = can_stand * (0.5 + 0.5 * np.tanh((load - STANDING_LOAD) * (0.5 / LOAD_WIDTH)))
+            load = _known_load(load, readings.expected_load)
+            finite = np.asarray(np.isfinite(velocity).all(axis=-1, keepdims=True))  # a leg that can't close
+            velocity, above = (np.where(finite, values, 0.0) for values in (velocity, above))
+            load = np.where(finite[..., 0], load, NO_LOAD)
+        standing = 0.5 + 0.5 * np.tanh((load - STANDING_LOAD) * (0.5 / LOAD_WIDTH))
         # What each foot implies, and 1; the last row is the prediction.
         rows = np.empty((self._num_envs, standing.shape[1] + 1, 4))
         rows[:, :-1, :3], rows[..., 3] = velocity, 1.0
@@ -124,7 +126,8 @@ class LeggedOdometry:
         for _ in range(REWEIGHTINGS + 1):
             total = weights @ rows
             mean = total / total[..., 3:]
-            far = np.square(implied - mean) @ self._nearness
+            error = implied - mean
+            far = (error * error) @ self._nearness
             far += 1.0
             far *= far
             np.divide(firm, far, out=feet)

@@ -19,66 +19,62 @@ from typing import ClassVar, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.arrays import Array, ComplexArray
+from surefoot.arrays import Array
 from surefoot.configuration import NotNegative, Positive
 from surefoot.errors import SurefootError
 
 MIN_LEVERAGE = 0.01
 """Area between the speeds that both motors give a foot, relative to the squared length of the leg, below which torques
 say nothing about the force along the leg."""
-_KNEE_TURNS = np.array([-1j, 1j])
-"""Directions in which the motors of a five-bar leg turn their knees in the plane x + iz."""
 
 
 class FootKinematics(NamedTuple):
-    """Poses of the feet's links, and how motors move and load feet; complex numbers x + iz are in the legs' planes."""
+    """Poses of the feet's links, and how motors move and load feet, for L legs with m motors."""
 
     pose: Array
     """Position of the foot from the mount in the base frame [m] and orientation of its link [rad] (..., L, 5).
 
-    Orientation: abduction about +x, then, in the plane, the angle of the line from knee to foot about +y from straight
-    down.
+    Orientation: abduction about +x, then, in the leg's plane, the angle of the line from knee to foot about +y from
+    straight down.
     """
-    speed: ComplexArray
-    """Derivatives of the position in the plane with respect to the last two motor angles (..., L, 2) [m/rad]."""
+    ahead: Array
+    """Derivatives of the position's x in the plane with respect to the last two motor angles (..., L, 2) [m/rad]."""
+    above: Array
+    """Derivatives of its z in the plane (..., L, 2) [m/rad]."""
     length: float
     """Length of the straight leg [m]."""
-    arm: ComplexArray | None = None
-    """Position y + iz of the foot from the abduction axis, in the plane's frame, times the motor's sign (..., L) [m].
-
-    None without abduction."""
-    plane: ComplexArray | None = None
-    """Direction of the plane: e^(i abduction) (..., L)."""
+    abduction: tuple[Array, Array, Array, Array] | None = None
+    """Cosine and sine of the abduction (..., L), and in the plane's frame the position of the foot from the abduction
+    axis, y (L,) and z (..., L), times the motor's sign [m]. None without abduction."""
 
     def force(self, torque: Array) -> Array:
         """Return the forces f (..., L, 3) [N] on the feet in the base frame that balance motor torques (..., L, m).
 
-        The power of force and torques is zero, J^T f = -torque. Directions with less leverage are left out,
-        and the force normal to the plane of a leg without abduction is 0.
+        The power of force and torques is zero, J^T f = -torque. Directions with less leverage are left out, and the
+        force normal to the plane of a leg without abduction is 0.
         """
         min_lever, in_plane = MIN_LEVERAGE * self.length, torque[..., -2:]
-        x, z, swapped = self.speed.real, self.speed.imag, in_plane[..., ::-1]
+        x, z, swapped = self.ahead, self.above, in_plane[..., ::-1]
         area = x[..., 0] * z[..., 1] - z[..., 0] * x[..., 1]
         along, upward = z * swapped, x * swapped
         ahead, above = along[..., 0] - along[..., 1], upward[..., 1] - upward[..., 0]
         if np.minimum.reduce(np.abs(area), axis=None) < min_lever * self.length:
             weak = np.abs(area) < min_lever * self.length
-            area = np.where(weak, np.square(np.abs(self.speed)).sum(axis=-1), area)
+            area = np.where(weak, (x * x + z * z).sum(axis=-1), area)
             ahead, above = (
                 np.where(weak, -(part * in_plane).sum(axis=-1), force) for part, force in ((x, ahead), (z, above))
             )
-        inverse = 1.0 / area
         result = np.zeros((*area.shape, 3))
-        result[..., 0] = ahead * inverse
-        above = above * inverse
-        if self.arm is None or self.plane is None:
+        result[..., 0] = ahead / area
+        above = above / area
+        if self.abduction is None:
             result[..., 2] = above
             return result
-        lever, cos, sin = self.arm.imag, self.plane.real, self.plane.imag
+        cos, sin, aside, lever = self.abduction
         if np.minimum.reduce(np.abs(lever), axis=None) < min_lever:
             lever = np.where(np.abs(lever) < min_lever, np.inf, lever)
-        aside = (torque[..., 0] + self.arm.real * above) / lever
-        result[..., 1], result[..., 2] = cos * aside - sin * above, sin * aside + cos * above
+        normal = (torque[..., 0] + aside * above) / lever
+        result[..., 1], result[..., 2] = cos * normal - sin * above, sin * normal + cos * above
         return result
 
 
@@ -222,21 +218,25 @@ class FiveBar:
 
     def foot_kinematics(self, angles: Array) -> FootKinematics:
         """Return the poses of the lower links of motor 2 for motor angles (..., 2) [rad], and the motors' leverage."""
-        knees = 1j * self.upper * np.exp(_KNEE_TURNS * angles)
-        across = knees[..., 0] - knees[..., 1]
+        x, z = self.upper * np.sin(angles), self.upper * np.cos(angles)
+        x[..., 1] *= -1.0
+        # From knee 2 to knee 1, and to the pin.
+        x_12, z_12 = x[..., 0] - x[..., 1], z[..., 0] - z[..., 1]
         with np.errstate(invalid="ignore", divide="ignore"):
-            inverse = 1.0 / (across.real**2 + across.imag**2)
-            along = 0.5 + 0.5 * (self.lower[1] ** 2 - self.lower[0] ** 2) * inverse
-            link = across * (along - 1j * np.sqrt(self.lower[1] ** 2 * inverse - along**2))
+            inverse = 1.0 / (x_12 * x_12 + z_12 * z_12)
+            along = 0.5 + (0.5 * (self.lower[1] ** 2 - self.lower[0] ** 2)) * inverse
+            aside = np.sqrt(self.lower[1] ** 2 * inverse - along * along)
+        x_pin, z_pin = along * x_12 + aside * z_12, along * z_12 - aside * x_12
         # The pin keeps its distance from knee 1, while the link turns about knee 2.
-        other = np.conj(link - across)
-        turn = (other[..., None] * knees).imag / (other * link).imag[..., None]
-        to_foot = link * (self.foot / self.lower[1])
-        speed = (-1j * to_foot)[..., None] * turn
-        speed[..., 1] += 1j * knees[..., 1]
-        foot, pose = knees[..., 1] + to_foot, np.zeros((*link.shape, 5))
-        pose[..., 0], pose[..., 2], pose[..., 4] = foot.real, foot.imag, np.arctan2(-link.real, -link.imag)
-        return FootKinematics(pose, speed, self.length)
+        x_1, z_1 = x_pin - x_12, z_pin - z_12
+        turn = (x_1[..., None] * z - z_1[..., None] * x) / (x_1 * z_pin - z_1 * x_pin)[..., None]
+        ratio, pose = self.foot / self.lower[1], np.zeros((*along.shape, 5))
+        x_foot, z_foot = ratio * x_pin, ratio * z_pin
+        ahead, above = z_foot[..., None] * turn, x_foot[..., None] * -turn
+        ahead[..., 1] -= z[..., 1]
+        above[..., 1] += x[..., 1]
+        pose[..., 0], pose[..., 2], pose[..., 4] = x[..., 1] + x_foot, z[..., 1] + z_foot, np.arctan2(-x_pin, -z_pin)
+        return FootKinematics(pose, ahead, above, self.length)
 
     def plane_pose(self, foot: ArrayLike) -> tuple[Array, Array]:
         """Return swing and extension (...) [rad] for foot positions (..., 2) [m] relative to the motor axis.

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from surefoot.arrays import Array, ComplexArray
+from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot.data_sheet import Leg
 from surefoot.robot.leg import FootKinematics
@@ -136,11 +136,6 @@ class SerialLegs:
         return np.stack([self.upper, self.lower], axis=-1)
 
     @functools.cached_property
-    def _hip(self) -> ComplexArray:
-        """Position y + iz of the hip axis relative to the abduction axis at zero angles (L,) [m]."""
-        return self.hip[:, 0] + 1j * self.hip[:, 1]
-
-    @functools.cached_property
     def length(self) -> float:
         """Mean length of the straight legs [m]."""
         return float(np.mean(self.upper + self.lower))
@@ -232,21 +227,21 @@ class SerialLegs:
     def foot_kinematics(self, angles: Array) -> FootKinematics:
         """Return the poses of the lower links for motor angles (..., L, m) [rad], and the motors' leverage."""
         joints = angles * self.turn
-        links = joints[..., -2:] + self._link_angles
-        links[..., 1] += links[..., 0]
-        pose = np.zeros((*links.shape[:-1], 5))
-        # From knee to hip and foot to hip axis, turned by a right angle about +y.
-        parts = self._lengths * np.exp(-1j * links)
-        parts[..., 0] += parts[..., 1]
-        whole = parts[..., 0]
-        pose[..., 0], pose[..., 4] = whole.imag, links[..., 1]
+        joints[..., -2:] += self._link_angles
+        joints[..., -1] += joints[..., -2]
+        sine, cosine, pose = np.sin(joints), np.cos(joints), np.zeros((*joints.shape[:-1], 5))
+        # Reach backward and drop below the hip axis: of the whole leg, and of the lower link.
+        reach, drop = self._lengths * sine[..., -2:], self._lengths * cosine[..., -2:]
+        reach[..., 0] += reach[..., 1]
+        drop[..., 0] += drop[..., 1]
+        pose[..., 0], pose[..., 4], z = -reach[..., 0], joints[..., -1], self.hip[:, 1] - drop[..., 0]
+        ahead, above = drop * self._plane_turn, reach * self.turn[:, -2:]
         if not self.abducts:
-            pose[..., 1], pose[..., 2] = self.hip[:, 0], self.hip[:, 1] - whole.real
-            return FootKinematics(pose, parts * self._plane_turn, self.length)
-        arm, plane = self._hip - 1j * whole.real, np.exp(1j * joints[..., 0])
-        foot = arm * plane
-        pose[..., 1], pose[..., 2], pose[..., 3] = foot.real, foot.imag, joints[..., 0]
-        return FootKinematics(pose, parts * self._plane_turn, self.length, arm * self.turn[:, 0], plane)
+            pose[..., 1], pose[..., 2] = self.hip[:, 0], z
+            return FootKinematics(pose, ahead, above, self.length)
+        y, cos, sin, turn = self.hip[:, 0], cosine[..., 0], sine[..., 0], self.turn[:, 0]
+        pose[..., 1], pose[..., 2], pose[..., 3] = cos * y - sin * z, sin * y + cos * z, joints[..., 0]
+        return FootKinematics(pose, ahead, above, self.length, (cos, sin, y * turn, z * turn))
 
     def is_feasible(self, angles: ArrayLike) -> NDArray[np.bool_]:
         """Return true for each leg (..., L) with finite angles: a serial leg has no loop that must close."""
