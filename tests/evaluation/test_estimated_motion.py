@@ -18,6 +18,7 @@ from surefoot.evaluation.estimated_motion import (
     interval_text,
     is_estimated,
     path_length,
+    torque_delay,
     with_estimated_motion,
 )
 from surefoot.evaluation.rollout import run_episodes
@@ -53,6 +54,18 @@ def test_walking_robots_are_estimated_within_a_few_percent(walks):
     assert errors.covered == 1.0
     # The true motion that it is compared with is that of the runs: about what was commanded.
     assert np.mean([benchmark.true_motion(trace)[50:, 0].mean() for trace in walks]) == pytest.approx(0.6, abs=0.1)
+
+
+def test_the_delay_of_torques_is_found_in_the_run_of_a_robot(walks):
+    for trace in walks:
+        robot, latency = trace.load_robot(), trace.meta["params"]["control_latency"]
+        assert torque_delay(trace, robot) == latency
+        unknown = replace(trace, meta={**trace.meta, "params": {}})
+        found = torque_delay(unknown, robot)
+        assert found == pytest.approx(latency, abs=0.01)
+        # Torques of the control step before are older than the other readings.
+        older = replace(unknown, motor_torque=np.roll(trace.motor_torque, 1, axis=0))
+        assert torque_delay(older, robot) < found
 
 
 def test_runs_of_a_batch_are_estimated_as_alone(walks):

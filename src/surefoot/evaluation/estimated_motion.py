@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.estimation.interface import MotionReadings, VelocityEstimator, torque_lead
+from surefoot.estimation.interface import MotionReadings, VelocityEstimator
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.robot import RobotDescription
 from surefoot.rotations import from_base_frame, from_heading_frame, rpy_quat
@@ -32,8 +32,12 @@ NOTE = (
     "see docs/estimation.md"
 )
 """What to know of numbers that come from estimated motion."""
+TORQUE_DELAYS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.035, 0.04)
+"""Times that are tried by which readings of a robot are older than its torques [s]."""
 PATH_WINDOW = 0.5
 """Time between the places that a path connects [s]: about a stride."""
+TORQUE_DELAYS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.035, 0.04)
+"""Times that are tried by which readings of a robot are older than its torques [s]."""
 PATH_WINDOW = 0.5
 """Time between the places that a path connects [s]: about a stride."""
 EstimatorFactory = Callable[[RobotDescription, int], VelocityEstimator]
@@ -62,10 +66,29 @@ def estimate_motion(
     """Estimate the motion in runs of one robot, all runs together.
 
     Only the robot's own readings are used. Simulations and robots record torques of the present and all other readings
-    as old as the control latency; torques are delayed like them. The latency of a robot is that of its data sheet.
+    as old as the control latency; torques are delayed like them, see `torque_delay`.
     """
+    return _estimate(traces, [torque_delay(trace, robot) for trace in traces], robot, make)
+
+
+def torque_delay(trace: EpisodeTrace, robot: RobotDescription) -> float:
+    """Return the time by which the other readings of a run are older than its torques [s].
+
+    Simulations know it. For a robot it is the one of `TORQUE_DELAYS` with which feet stand most: with torques of
+    another time, the feet that carry weight contradict each other.
+    """
+    known: float | None = trace.meta["params"].get("control_latency")
+    if known is not None:
+        return known
+    motions = _estimate([trace] * len(TORQUE_DELAYS), TORQUE_DELAYS, robot, LeggedOdometry)
+    return TORQUE_DELAYS[int(np.argmax([motion.contact.mean() for motion in motions]))]
+
+
+def _estimate(
+    traces: Sequence[EpisodeTrace], delays: Sequence[float], robot: RobotDescription, make: EstimatorFactory
+) -> list[EstimatedMotion]:
     kept = [_kept_rows(trace) for trace in traces]
-    columns = [_readings(trace, rows, robot) for trace, rows in zip(traces, kept, strict=True)]
+    columns = [_readings(trace, rows, delay) for trace, rows, delay in zip(traces, kept, delays, strict=True)]
     steps = max(map(len, kept))
     padded = {name: np.stack([_padded(one[name], steps) for one in columns], axis=1) for name in columns[0]}
     estimator, results = make(robot, len(traces)), []
@@ -96,8 +119,7 @@ def _kept_rows(trace: EpisodeTrace) -> NDArray[np.int64]:
     return rows[~np.isin(rows + 1, trace.meta.get("missed_steps", ()))]
 
 
-def _readings(trace: EpisodeTrace, rows: NDArray[np.int64], robot: RobotDescription) -> dict[str, Array]:
-    delay = trace.meta["params"].get("control_latency", torque_lead(robot, trace.meta.get("lead") or 0.0))
+def _readings(trace: EpisodeTrace, rows: NDArray[np.int64], delay: float) -> dict[str, Array]:
     torque = np.stack([np.interp(trace.time - delay, trace.time, one) for one in trace.motor_torque.T], axis=-1)
     return {
         "duration": np.diff(trace.time[rows], prepend=0.0),
