@@ -38,8 +38,8 @@ ACCELERATION = 0.5
 """Standard deviation of the acceleration [g] without an accelerometer: feet that touch down on stairs stop the base."""
 ACCELERATION_TIME = 0.3
 """Time [sqrt(l / g)] for which such an acceleration lasts."""
-MEASURED_ACCELERATION = 0.05
-"""Standard deviation of a measured acceleration [g]: a tilt of 0.05 rad that the IMU does not know."""
+MEASURED_ACCELERATION = 0.2
+"""Standard deviation of a measured acceleration [g]: a sample of each control step misses parts of impacts."""
 NO_LOAD = -1e3
 """Load of a leg that can't close: its foot does not stand."""
 START = 0.1
