@@ -115,6 +115,9 @@ def test_a_straight_leg_has_no_force_along_itself():
     # Hip and knee turn by 0.45 and 0.25 m of backward speed a radian: least squares for the force backward.
     force = feet.force(np.array([[0.0, 1.0, 1.0]] * 2))
     np.testing.assert_allclose(force[..., ::2], [[(0.45 + 0.25) / (0.45**2 + 0.25**2), 0.0]] * 2, atol=1e-12)
+    # Legs do not affect each other.
+    feet = serial_legs().foot_kinematics(np.array([[0.0, 0.0, 0.0], [np.nan, 0.0, 0.0]]))
+    np.testing.assert_allclose(feet.force(np.array([[0.0, 1.0, 1.0]] * 2))[0], force[0], atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ class FootKinematics(NamedTuple):
         area = x[..., 0] * z[..., 1] - z[..., 0] * x[..., 1]
         along, upward = z * swapped, x * swapped
         ahead, above = along[..., 0] - along[..., 1], upward[..., 1] - upward[..., 0]
-        if np.minimum.reduce(np.abs(area), axis=None) < min_lever * self.length:
+        if np.fmin.reduce(np.abs(area), axis=None) < min_lever * self.length:
             weak = np.abs(area) < min_lever * self.length
             area = np.where(weak, (x * x + z * z).sum(axis=-1), area)
             ahead, above = (
@@ -71,7 +71,7 @@ class FootKinematics(NamedTuple):
             result[..., 2] = above
             return result
         cos, sin, aside, lever = self.abduction
-        if np.minimum.reduce(np.abs(lever), axis=None) < min_lever:
+        if np.fmin.reduce(np.abs(lever), axis=None) < min_lever:
             lever = np.where(np.abs(lever) < min_lever, np.inf, lever)
         normal = (torque[..., 0] + aside * above) / lever
         result[..., 1], result[..., 2] = cos * normal - sin * above, sin * normal + cos * above
