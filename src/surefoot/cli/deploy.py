@@ -157,12 +157,15 @@ def main(argv: list[str]) -> int:
         if not command.lockstep:
             stack.enter_context(real_time_priority())
         deployment.connect(check)
-        results, code = _runs(command, deployment)
-    return _report(command, deployment, results, code)
+        runs, code = _runs(command, deployment)
+    # Motion is estimated after the session has ended: a robot waits for its operator for a second only.
+    return _report(command, deployment, [_result(*run, deployment.robot) for run in runs], code)
 
 
-def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str, Any]], int]:
-    """Run all episodes, unless one ends early; return the report of each, and the exit code."""
+def _runs(
+    command: DeployCommand, deployment: Deployment
+) -> tuple[list[tuple[RunOutcome, LoopTiming, SavedRun, int]], int]:
+    """Run all episodes, unless one ends early; return the first arguments of `_result` for each, and the exit code."""
     from surefoot.deploy.command_sources import FileCommands
     from surefoot.deploy.motion_runner import SHUTDOWN_TIME, STARTUP_TIME
     from surefoot.deploy.pacer import LoopTiming
@@ -176,7 +179,7 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
         steps = max(round(duration / step), 1)
     elif isinstance(deployment.commands, FileCommands):
         steps = max(round(deployment.commands.duration / step), steps)
-    results: list[dict[str, Any]] = []
+    runs: list[tuple[RunOutcome, LoopTiming, SavedRun, int]] = []
     code = 0
     for run in range(command.episodes):
         path = None if command.dry_run and command.out is None else next_free_path(command.out or Path("deploy"))
@@ -185,12 +188,12 @@ def _runs(command: DeployCommand, deployment: Deployment) -> tuple[list[dict[str
         saver.begin()
         outcome = deployment.run(saver.recorder, timing)
         saved = saver.finish(outcome, timing, command.motion_capture)
-        results.append(_result(outcome, timing, saved, saver.recorder.steps, deployment.robot))
+        runs.append((outcome, timing, saved, saver.recorder.steps))
         if outcome.safe or saved.lost:
             code = SAFETY_STOP
         if outcome.ended != "time" or outcome.safe:
             break
-    return results, code
+    return runs, code
 
 
 def _result(
