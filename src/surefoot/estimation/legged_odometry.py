@@ -28,8 +28,7 @@ often dragged: in a trot of the Minitaur a foot on the ground implies 0.3 m/s to
 LOAD_WIDTH = 0.15
 """Width of the logistic curve over the load: friction and inertia of the links change torques by about as much."""
 FOOT_NOISE = 0.08
-"""Standard deviation [sqrt(g l)] of the velocity that a standing foot with its share of the weight implies: small slips,
-and rolling over edges."""
+"""Standard deviation [sqrt(g l)] of the velocity that a foot with its share of the weight implies: slips, edges."""
 DEGREES = 2.5
 """Squared distance of a foot from the estimate, in standard deviations, at which its weight is a quarter. Less rejects
 slip better, and follows pushes and impacts less."""
