@@ -84,7 +84,9 @@ class Command:
     policies: tuple[str, ...] = ("trot",)
     """Other policies, which are in gaits.csv and in no comparison."""
     episodes: int = 3
-    """Episodes of each gait."""
+    """Episodes of each gait, without the grid."""
+    grid_episodes: int = 2
+    """Episodes of each setting of the grid."""
     seed: int = 1
     """The one seed."""
 
@@ -186,13 +188,13 @@ def run_episode(env: Any, gait: RaibertTrot | PolicyGait, draw: np.random.Genera
     return {"fell": 0, "speed": speed, "turned": yaw, **{name: means[one] for name, one in DEFINITIONS.items()}}
 
 
-def run_gait(env: Any, gait: RaibertTrot | PolicyGait, command: Command) -> list[dict[str, Any]]:
+def run_gait(env: Any, gait: RaibertTrot | PolicyGait, episodes: int, seed: int) -> list[dict[str, Any]]:
     """Return one row per episode; the starts are the same for all gaits."""
     row = {
         **{"gait": gait.name, "family": gait.family},
         **{name: getattr(gait, name, math.nan) for name in ("stance_duration", "standing_height", "desired_speed")},
     }
-    draws = (np.random.default_rng([command.seed, episode]) for episode in range(command.episodes))
+    draws = (np.random.default_rng([seed, episode]) for episode in range(episodes))
     return [{**row, "episode": k, **run_episode(env, gait, draw)} for k, draw in enumerate(draws)]
 
 
@@ -273,12 +275,13 @@ def main(command: Command) -> None:
     path = command.folder / "runs.csv"
     with tempfile.TemporaryDirectory() as folder:
         selected = gaits(command, Path(folder))
-        env = make_identified_environment(nominal_contract(), remove_default_joint_damping=True)
+        env = make_identified_environment(nominal_contract(), remove_default_joint_damping=True, num_steps_to_log=1)
         for gait in selected:
             runs = read_runs(path)
-            if sum(run["gait"] == gait.name for run in runs) < command.episodes:
+            episodes = command.grid_episodes if gait.family == "raibert" else command.episodes
+            if sum(run["gait"] == gait.name for run in runs) < episodes:
                 kept = [run for run in runs if run["gait"] != gait.name]
-                write_csv(path, [*kept, *run_gait(env, gait, command)])
+                write_csv(path, [*kept, *run_gait(env, gait, episodes, command.seed)])
                 print(f"ran {gait.name}", flush=True)
     names = [gait.name for gait in selected]
     rows = gait_rows(sorted(read_runs(path), key=lambda run: names.index(run["gait"])))
