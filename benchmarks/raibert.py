@@ -5,8 +5,8 @@
 PyBullet contains the paper authors' simulator of their identified robot, and a trot with Raibert's controller that they
 wrote for it. That trot runs at the settings below, which were fixed before the first run, with the authors' gains. The
 trots of the study results/reality-gap that were trained with motor model, latencies and pushes (group III of the paper)
-are compared with it, and with a harder baseline: the foot trajectories of results/handcrafted, which CMA-ES tuned for
-little power in MuJoCo.
+are compared with it. A harder baseline runs next to them: the foot trajectories of results/handcrafted, which CMA-ES
+tuned for little power in MuJoCo.
 
 All run in one simulator, with the settings of the authors' own example. An episode lasts 6 s. The desired speed of
 Raibert's controller rises linearly in the first second. Speed and power are means from 2 s to the end. Speed is along
@@ -217,22 +217,22 @@ def has_authors_setting(row: dict[str, Any]) -> bool:
 
 
 def comparison(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return how much less power [%] learned trots need than each baseline at their own speed, by each definition.
+    """Return how much less power [%] learned trots need than the authors' at their own speed, by each definition.
 
-    Intervals are of 95 % over the trainings. NaN if one is slower or faster than all settings of a baseline.
+    The baselines are the default setting, and the whole grid. Intervals are of 95 % over the trainings. NaN if one is
+    slower or faster than all settings.
     """
-    of = {family: [row for row in rows if row["family"] == family] for family in FAMILIES}
-    baselines = {"authors": filter(has_authors_setting, of["raibert"]), "grid": of["raibert"], "tuned": of["tuned"]}
+    grid, learned = ([row for row in rows if row["family"] == family] for family in ("raibert", "learned"))
     table = []
-    for baseline, settings in ((name, list(one)) for name, one in baselines.items()):
+    for baseline, settings in {"authors": list(filter(has_authors_setting, grid)), "grid": grid}.items():
         for definition in DEFINITIONS:
             points = [{**row, "power": row[definition]} for row in settings]
-            powers, names = zip(*(at_equal_speed(row["speed"], points) for row in of["learned"]), strict=True)
-            less = [100 * (1 - row[definition] / power) for row, power in zip(of["learned"], powers, strict=True)]
+            powers, names = zip(*(at_equal_speed(row["speed"], points) for row in learned), strict=True)
+            less = [100 * (1 - row[definition] / power) for row, power in zip(learned, powers, strict=True)]
             table.append(
                 {
                     **{"name": f"{baseline}/{definition}", "baseline": baseline, "definition": definition},
-                    **{"learned": np.mean([row[definition] for row in of["learned"]]), "handcrafted": np.mean(powers)},
+                    **{"learned": np.mean([row[definition] for row in learned]), "handcrafted": np.mean(powers)},
                     **t_interval(less).columns("less_power"),
                     **{"least": min(less), "greatest": max(less), "between": "; ".join(dict.fromkeys(names))},
                 }
