@@ -59,6 +59,8 @@ STANDING_HEIGHTS = (0.18, 0.21, 0.24)
 """The grid of desired forward speeds [m/s], durations of stance [s] and standing heights [m]."""
 AUTHORS_SETTING = (0.25, 0.21)
 """Duration of stance and standing height that the authors' controller has by default."""
+SPEED_RANGE = (0.55, 0.62)
+"""Range of speeds [m/s] around the paper's trots (0.56 and 0.60 m/s), for means over settings."""
 RAMP, SETTLED, END = 1.0, 2.0, 6.0
 """Times of an episode [s]: end of the desired speed's rise, begin of the measurement, end."""
 DEFINITIONS = {"duty": "reported_each", "absolute": "absolute", "reward": "mechanical", "published": "reported"}
@@ -211,32 +213,36 @@ def gait_rows(runs: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return rows
 
 
-def has_authors_setting(row: dict[str, Any]) -> bool:
-    """Return whether a gait is the authors' trot with the default duration of stance and height."""
-    return (row["stance_duration"], row["standing_height"]) == AUTHORS_SETTING
-
-
 def comparison(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return how much less power [%] learned trots need than the authors' at their own speed, by each definition.
+    """Return how much less power [%] learned trots need than the authors', by each definition.
 
-    The baselines are the default setting, and the whole grid. Intervals are of 95 % over the trainings. NaN if one is
-    slower or faster than all settings.
+    `less_power`: at the speed of each training, with its 95 % interval over the trainings, relative to the minimum over
+    the grid. `less_in_range`: means of learned trots and of settings of the grid that go `SPEED_RANGE`.
     """
-    grid, learned = ([row for row in rows if row["family"] == family] for family in ("raibert", "learned"))
+    grid, learned = (
+        [row for row in rows if row["family"] == family and not row["falls"]] for family in ("raibert", "learned")
+    )
+    near_grid, near_learned = (
+        [row for row in some if SPEED_RANGE[0] <= row["speed"] <= SPEED_RANGE[1]] for some in (grid, learned)
+    )
     table = []
-    for baseline, settings in {"authors": list(filter(has_authors_setting, grid)), "grid": grid}.items():
-        for definition in DEFINITIONS:
-            points = [{**row, "power": row[definition]} for row in settings]
-            powers, names = zip(*(at_equal_speed(row["speed"], points) for row in learned), strict=True)
-            less = [100 * (1 - row[definition] / power) for row, power in zip(learned, powers, strict=True)]
-            table.append(
-                {
-                    **{"name": f"{baseline}/{definition}", "baseline": baseline, "definition": definition},
-                    **{"learned": np.mean([row[definition] for row in learned]), "handcrafted": np.mean(powers)},
-                    **t_interval(less).columns("less_power"),
-                    **{"least": min(less), "greatest": max(less), "between": "; ".join(dict.fromkeys(names))},
-                }
-            )
+    for definition in DEFINITIONS:
+        points = [{**row, "power": row[definition]} for row in grid]
+        best = [at_equal_speed(row["speed"], points)[0] for row in learned]
+        less = [100 * (1 - row[definition] / power) for row, power in zip(learned, best, strict=True)]
+        in_range = [float(np.mean([row[definition] for row in some])) for some in (near_learned, near_grid)]
+        table.append(
+            {
+                "definition": definition,
+                **{"learned": np.mean([row[definition] for row in learned]), "best": np.mean(best)},
+                **t_interval(less).columns("less_power"),
+                "less_power_of_each": ", ".join(f"{one:.0f}" for one in less),
+                **{"trots_in_range": len(near_learned), "settings_in_range": len(near_grid)},
+                **{"learned_in_range": in_range[0], "settings_power": in_range[1]},
+                "least_in_range": min(row[definition] for row in near_grid),
+                "less_in_range": 100 * (1 - in_range[0] / in_range[1]),
+            }
+        )
     return table
 
 
@@ -248,8 +254,8 @@ def figure(rows: list[dict[str, Any]], path: Path) -> Path:
             for number, (family, label) in enumerate(FAMILIES.items()):
                 own = [row for row in rows if row["family"] == family and not row["falls"]]
                 ax.plot(*columns(own, "speed", definition), MARKERS[number], color=COLORS[number], ms=4, label=label)
-            default = [row for row in rows if has_authors_setting(row) and not row["falls"]]
-            ax.plot(*columns(default, "speed", definition), color=COLORS[0], label="its default setting")
+            default = [row for row in rows if (row["stance_duration"], row["standing_height"]) == AUTHORS_SETTING]
+            ax.plot(*columns(default, "speed", definition), color=COLORS[0], label="its default stance and height")
             ax.set(title=titles[definition], xlabel="Speed (m/s)", ylim=(0, None))
         axes[0].set_ylabel("Power (W)")
         axes[0].legend()
