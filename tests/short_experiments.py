@@ -9,10 +9,10 @@ from surefoot.identify.registry import Experiment
 from surefoot.robot import RobotDescription
 
 LENGTHS = {
-    "motor": {"unfold": 1.5, "hold": 0.2, "steps": 1.25, "centre": 0.5, "PWM pulses": 0.24, "chirp back": 0.5},
+    "motor": {"unfold": 1.5, "hold": 0.2, "steps": 1.25, "centre": 0.5, "PWM pulses": 0.24, "chirp back": 1.5},
     "latency": {"unfold": 1.5, "hold": 0.3, "spikes": 0.24, "centre": 0.5, "chirp": 0.6, "steps": 0.25},
     "mass": {"stand still": 0.6, "squat slowly": 1.0, "nod": 3.0, "nod back": 0.6},
-    "contact": {"drop": 1.2, "drag": 3.0},
+    "contact": {"drop": 1.2, "drag": 3.0, "nod": 2.0},
 }
 """Lengths [s] of the kept phases by name, for each experiment."""
 COUNTS: dict[str, dict[str, int]] = {

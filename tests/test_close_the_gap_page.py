@@ -30,11 +30,13 @@ class RobotPageRun(PageRun):
     robot: Emulator | None = None
     options: tuple[str, ...] = ()
     """Options of `surefoot emulate` on the page."""
+    on_rack: bool = False
 
-    def place(self, *rack: str) -> None:
-        """Start the robot again, with or without `--rack`."""
-        self.stop()
-        self.robot = Emulator(*self.options, *rack)
+    def place(self, rack: bool) -> None:
+        """Start the robot on its rack or on the floor, unless it is there."""
+        if self.robot is None or self.on_rack != rack:
+            self.stop()
+            self.robot, self.on_rack = Emulator(*self.options, *(["--rack"] if rack else [])), rack
 
     def stop(self) -> None:
         """Stop the robot."""
@@ -46,13 +48,14 @@ class RobotPageRun(PageRun):
         _, command, *words = shlex.split(line)
         if command == "emulate":
             self.options = tuple(words)
-            self.place()
+            self.place(rack=False)
         elif command == "identify":
-            self.place(*(["--rack"] if EXPERIMENTS[words[0]].rack else []))
+            self.place(EXPERIMENTS[words[0]].rack)
             done = surefoot("identify", *words, "--yes")
             assert done.returncode == 0, f"{line}: {done.stdout[-2000:]}{done.stderr[-2000:]}"
         else:
-            super()._command(line)
+            # The deployed runs are shortened to 1 s, the training's episodes to less.
+            super()._command(f"{line} --duration 1" if command == "gap" else line)
             return
         self.ran.append(line)
 
@@ -64,6 +67,7 @@ def test_a_robot_is_identified_and_its_policy_trained_deployed_and_compared(
     for name in ("motor", "latency", "mass", "contact"):
         experiment = EXPERIMENTS[name]
         monkeypatch.setitem(EXPERIMENTS, name, replace(experiment, plan=partial(short_plan, experiment)))
+    monkeypatch.setattr("surefoot.identify.fitting.MAX_ITERATIONS", 3)
     _, start, steps = PAGE.read_text(encoding="utf-8").partition("\n## 1. ")
     page = tmp_path / "steps.md"
     page.write_text(start + steps, encoding="utf-8")
