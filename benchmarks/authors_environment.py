@@ -21,10 +21,13 @@ from typing import Any
 import numpy as np
 
 from surefoot.api.policies import find_policy
+from surefoot.arrays import Array
 from surefoot.deploy.controller import Controller
+from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.tables import write_csv
+from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import task_from_contract
 
 
@@ -50,6 +53,22 @@ def make_environment(**settings: Any) -> Any:
     return minitaur_gym_env.MinitaurGymEnv(render=False, log_path=None, **settings)
 
 
+def make_identified_environment(contract: Contract, **settings: Any) -> Any:
+    """Return the authors' environment with their identified robot and motor model, and a policy's gains and delays."""
+    return make_environment(
+        urdf_version="rainbow_dash_v0",
+        accurate_motor_model_enabled=True,
+        motor_kp=contract.servo_kp,
+        motor_kd=contract.servo_kd,
+        control_latency=contract.control_latency,
+        pd_latency=contract.servo_latency,
+        control_time_step=contract.control_step,
+        action_repeat=round(contract.control_step / 0.001),
+        leg_model_enabled=False,
+        **settings,
+    )
+
+
 def measure_rate(seconds: float = 5.0) -> float:
     """Return physics steps per second with the environment's defaults."""
     env = make_environment()
@@ -64,36 +83,48 @@ def measure_rate(seconds: float = 5.0) -> float:
     return rate
 
 
-def run_policy(env: Any, policy: PolicyRuntime, draw: np.random.Generator) -> tuple[float, bool]:
-    """Return the speed [m/s] of a policy over an episode of its task, and whether it fell.
+def settle(env: Any, pose: Array, task: TaskConfig, draw: np.random.Generator) -> None:
+    """Let the robot settle in a pose (M,) [rad], and start it with a random velocity as in surefoot's own episodes.
 
-    The robot settles in the policy's pose and starts with a random velocity, as in surefoot's own episodes. Order and
-    directions of motors are the same as in surefoot.
+    Order and directions of motors are the same as in surefoot.
     """
+    env.reset(initial_motor_angles=pose.tolist(), reset_duration=0.5)
+    moved = draw.uniform(-task.start_linear_speed, task.start_linear_speed, 3)
+    turned = draw.uniform(-task.start_angular_speed, task.start_angular_speed, 3)
+    env._pybullet_client.resetBaseVelocity(env.minitaur.quadruped, moved.tolist(), turned.tolist())
+
+
+def read_state(env: Any) -> Any:
+    """Return what the control computer receives, with its latency, as the attributes of a robot's state."""
+    bullet, seen = env._pybullet_client, np.asarray(env.minitaur._GetControlObservation())
+    quat = seen[24:28] / np.linalg.norm(seen[24:28])
+    base_to_world = np.array(bullet.getMatrixFromQuaternion(quat)).reshape(3, 3)
+    return types.SimpleNamespace(
+        motor_angle=seen[:8],
+        motor_velocity=seen[8:16],
+        roll_pitch_yaw=np.array(bullet.getEulerFromQuaternion(quat)),
+        angular_velocity_base=base_to_world.T @ seen[28:31],
+    )
+
+
+def has_fallen(env: Any, task: TaskConfig) -> bool:
+    """Return whether roll or pitch is beyond the task's fall angle."""
+    return bool(np.abs(env.minitaur.GetTrueBaseRollPitchYaw()[:2]).max() > task.fall_angle)
+
+
+def run_policy(env: Any, policy: PolicyRuntime, draw: np.random.Generator) -> tuple[float, bool]:
+    """Return the speed [m/s] of a policy over an episode of its task, and whether it fell."""
     contract, robot = policy.contract, RobotDescription.load(policy.contract.robot)
     task, step = task_from_contract(contract), contract.control_step
     controller = Controller(policy, robot)
-    pose = robot.pose_angles(*contract.rest)
-    env.reset(initial_motor_angles=pose.tolist(), reset_duration=0.5)
-    bullet, minitaur = env._pybullet_client, env.minitaur
-    moved = draw.uniform(-task.start_linear_speed, task.start_linear_speed, 3)
-    turned = draw.uniform(-task.start_angular_speed, task.start_angular_speed, 3)
-    bullet.resetBaseVelocity(minitaur.quadruped, moved.tolist(), turned.tolist())
-    start, k, fell = minitaur.GetBasePosition()[0], 0, False
+    settle(env, robot.pose_angles(*contract.rest), task, draw)
+    start, k, fell = env.minitaur.GetBasePosition()[0], 0, False
     while k < task.max_steps and not fell:
-        seen = np.asarray(minitaur._GetControlObservation())
-        quat = seen[24:28] / np.linalg.norm(seen[24:28])
-        base_to_world = np.array(bullet.getMatrixFromQuaternion(quat)).reshape(3, 3)
-        state: Any = types.SimpleNamespace(
-            motor_angle=seen[:8],
-            motor_velocity=seen[8:16],
-            roll_pitch_yaw=np.array(bullet.getEulerFromQuaternion(quat)),
-            angular_velocity_base=base_to_world.T @ seen[28:31],
-        )
-        minitaur.Step(controller.compute_target(k * step, controller.observe(k * step, state)))
-        fell = bool(np.abs(minitaur.GetTrueBaseRollPitchYaw()[:2]).max() > task.fall_angle)
+        observation = controller.observe(k * step, read_state(env))
+        env.minitaur.Step(controller.compute_target(k * step, observation))
+        fell = has_fallen(env, task)
         k += 1
-    return (minitaur.GetBasePosition()[0] - start) / (k * step), fell
+    return (env.minitaur.GetBasePosition()[0] - start) / (k * step), fell
 
 
 def measure_policies(names: list[str], episodes: int, seed: int, out: Path) -> None:
@@ -102,17 +133,7 @@ def measure_policies(names: list[str], episodes: int, seed: int, out: Path) -> N
     for name in names:
         policy = PolicyRuntime.load(find_policy(name))
         contract = policy.contract
-        env = make_environment(
-            urdf_version="rainbow_dash_v0",
-            accurate_motor_model_enabled=True,
-            motor_kp=contract.servo_kp,
-            motor_kd=contract.servo_kd,
-            control_latency=contract.control_latency,
-            pd_latency=contract.servo_latency,
-            control_time_step=contract.control_step,
-            action_repeat=round(contract.control_step / 0.001),
-            leg_model_enabled=False,
-        )
+        env = make_identified_environment(contract)
         draw = np.random.default_rng(seed)
         runs = [run_policy(env, policy, draw) for _ in range(episodes)]
         speeds = [speed for speed, _ in runs]

@@ -10,8 +10,9 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from short_experiments import short_plan
+
 from surefoot.errors import SurefootError
-from surefoot.identify.plan import Plan
 from surefoot.identify.rack.model import fit_on_rack, moving_legs, rack_estimates, rack_unknowns
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import EXPERIMENTS
@@ -40,48 +41,21 @@ GROUND = {
 }
 """A heavy robot with weak motors on a floor with high friction, so that its feet are hard to drag."""
 Record = Callable[..., list[Recording]]
-Short = dict[str, float]
-"""Durations [s] of phases by name."""
-
-
-def shortened(plan: Plan, lengths: Short, counts: dict[str, int]) -> Plan:
-    """Return a plan with selected phases and shorter durations; `counts` phases of a name are kept, by default one."""
-    seen: dict[str, int] = {}
-    phases = []
-    for phase in plan.phases:
-        seen[phase.name] = seen.get(phase.name, 0) + 1
-        if phase.name in lengths and seen[phase.name] <= counts.get(phase.name, 1):
-            phases.append(replace(phase, duration=lengths[phase.name]))
-    return replace(plan, phases=tuple(phases))
 
 
 @pytest.fixture(scope="module")
 def rack(robot: RobotDescription, record: Record) -> tuple[Recording, Recording]:
     """Parts of the motor and of the latency experiment."""
-    motor = shortened(
-        EXPERIMENTS["motor"].plan(robot),
-        {"unfold": 1.5, "hold": 0.2, "steps": 1.25, "centre": 0.5, "PWM pulses": 0.24, "chirp back": 0.5},
-        {"centre": 3, "PWM pulses": 2},
-    )
-    latency = shortened(
-        EXPERIMENTS["latency"].plan(robot),
-        {"unfold": 1.5, "hold": 0.3, "spikes": 0.24, "centre": 0.5, "chirp": 0.6, "steps": 0.25},
-        {"spikes": 2, "centre": 2},
-    )
-    one, other = record(RACK, motor, latency)
+    one, other = record(RACK, *(short_plan(EXPERIMENTS[name], robot) for name in ("motor", "latency")))
     return one, other
 
 
 @pytest.fixture(scope="module")
 def grounded(robot: RobotDescription, record: Record) -> Recording:
     """Most of both experiments on the ground."""
-    mass, contact = (EXPERIMENTS[name].plan(robot) for name in ("mass", "contact"))
-    first = next(k for k, phase in enumerate(mass.phases) if phase.use != "transition")
-    durations = {phase.name: phase.duration for phase in mass.phases[:first]}
-    drags = shortened(contact, {"drop": 1.2, "drag": 3.0}, {"drop": 2, "drag": 2})
-    rest = shortened(mass, {"stand still": 0.6, "squat slowly": 1.0, "nod": 3.0, "nod back": 0.6}, {})
-    rise = shortened(mass, durations, {})
-    return record(GROUND, replace(mass, phases=(*rise.phases, *drags.phases, *rest.phases)))[0]
+    mass, contact = (short_plan(EXPERIMENTS[name], robot) for name in ("mass", "contact"))
+    rest = (phase for phase in mass.phases if phase.use != "transition")
+    return record(GROUND, replace(mass, phases=(*contact.phases, *rest)))[0]
 
 
 @pytest.fixture(scope="module")
