@@ -92,6 +92,22 @@ def test_a_sole_gives_way_as_a_damped_spring():
     np.testing.assert_allclose(feet.velocity[0, :, 2], 0.0, atol=1e-9)
 
 
+def test_readings_may_change_after_an_update():
+    robot, still = RobotDescription.load("go2"), np.zeros(3)
+    rows = [
+        readings(robot, robot.resting_angles + 0.001 * k, still, np.full(3, 0.1 * k), np.ones(robot.num_motors))
+        for k in range(2)
+    ]
+    expected = FootOdometry(robot)
+    expected.update(rows[0])
+    shared = readings(robot, robot.resting_angles, still, np.zeros(3), np.ones(robot.num_motors))
+    odometry = FootOdometry(robot)
+    odometry.update(shared)
+    for name in ("angular_velocity_base", "motor_angle", "motor_velocity", "motor_torque"):
+        getattr(shared, name)[:] = getattr(rows[1], name)
+    np.testing.assert_array_equal(odometry.update(shared).velocity, expected.update(rows[1]).velocity)
+
+
 def test_up_is_against_gravity():
     attitude = np.array([[0.3, -0.4, 1.0], [0.0, 0.0, 0.0]])
     np.testing.assert_allclose(up_direction(attitude), -gravity(attitude))

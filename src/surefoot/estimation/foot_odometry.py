@@ -130,6 +130,6 @@ class FootOdometry:
         if not is_finite:
             step = np.where(np.isfinite(step), step, 0.0)
             sole, moved = np.where(np.isfinite(sole), sole, 0.0), velocity - self._compliance * step
-        self._before = pose, speeds, rate, sole + step * duration
+        self._before = pose, speeds.copy(), rate.copy(), sole + step * duration
         height = (pose[..., :3] @ upward)[..., 0] - self._radius
         return FootObservations(axes[:, 0], cross[:, 1].reshape(-1, 3, 3), moved, height, load, is_finite)
