@@ -17,6 +17,7 @@ from surefoot.adopt.adoption import adopt
 from surefoot.adopt.builder import build_policy
 from surefoot.adopt.diagnosis import Diagnosis, check_answers
 from surefoot.adopt.examination import TrialResult, TrueVelocity, examine
+from surefoot.adopt.exporting import EXPORTERS
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification
 from surefoot.errors import SurefootError
 from surefoot.estimation.interface import MotionReadings
@@ -108,6 +109,14 @@ def test_an_unknown_name_of_the_velocity_names_the_way_out(go2, tmp_path):
     config.write_text(config.read_text().replace("lin_vel,", "estimated_velocity,").replace("- lin_vel", "- est_vel"))
     with pytest.raises(SurefootError, match="as the term base_velocity of --from manual, --base-velocity estimate"):
         adopt(network, "rl_sar", go2, "x", config, {"base_velocity": "estimate"})
+
+
+def test_the_policy_is_not_exported_to_frameworks_without_an_estimate(go2, tmp_path):
+    network, config, _ = files_of("manual", tmp_path)
+    data = adopt(network, "manual", go2, "x", config, {"base_velocity": "estimate"}).data
+    for export in EXPORTERS.values():
+        with pytest.raises(SurefootError, match="can't be exported: it observes base_velocity; the format does not"):
+            export(PolicyRuntime.parse(data), data, go2, tmp_path / "theirs")
 
 
 def test_the_network_gets_the_estimate_in_its_scale_and_history(go2, specification, run_controller):

@@ -86,6 +86,17 @@ def test_robots_that_start_again_do_not_disturb_the_others(task):
         np.testing.assert_array_equal(rows[[0, 2]], velocity_of(step(alone))[[0, 2]])
 
 
+def test_a_restart_does_not_change_readings_that_others_keep(task):
+    env = LocomotionEnv(task, 3, SimWorld, threads=1)
+    for _ in range(5):
+        step(env)
+    kept = env.state.readings
+    rates = kept.angular_velocity_base.copy()
+    env.reset(options={"reset_mask": np.array([False, True, False])})
+    assert env.state.readings is not kept
+    np.testing.assert_array_equal(kept.angular_velocity_base, rates)
+
+
 def test_a_restarted_robot_is_estimated_as_at_its_first_start(task):
     task = replace(task, start_linear_speed=0.0, start_angular_speed=0.0)
     env = LocomotionEnv(task, 2, SimWorld, threads=1)

@@ -129,7 +129,8 @@ def motion_readings(readings: SensorReadings, duration: Array, rows: Any = slice
     return MotionReadings(
         duration=duration[rows],
         roll_pitch_yaw=readings.roll_pitch_yaw[rows],
-        angular_velocity_base=readings.angular_velocity_base[rows],
+        # A copy, because the estimator keeps it, and `EpisodicOdometry.start` writes to what the estimator keeps.
+        angular_velocity_base=readings.angular_velocity_base[rows].copy(),
         motor_angle=readings.motor_angle[rows],
         motor_velocity=readings.motor_velocity[rows],
         motor_torque=readings.motor_torque[rows],
