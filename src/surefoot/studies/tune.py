@@ -94,8 +94,7 @@ class TuneConfig:
     """Settings of a tuning."""
 
     gait: Gait = "trot"
-    """trot: diagonal legs together; bound: fore legs together, and hind legs; gallop: both pairs a little apart;
-    free: any phases."""
+    """trot: diagonal legs in pairs; bound: fore and hind legs in pairs; gallop: the same, a little apart; free: any."""
     speed: Annotated[float, Within(0.05, 10)] = 0.6
     """Speed that the gait must reach [m/s]."""
     raibert: bool = False
@@ -105,8 +104,7 @@ class TuneConfig:
     generations: Annotated[int, Within(1, 10_000)] = 40
     """Maximum number of generations."""
     patience: Annotated[int, Within(0, 10_000)] = 0
-    """Stop if the minimum cost decreases by less than 2 % from PATIENCE generations to the next PATIENCE; 0 never stops
-    early."""
+    """Stop if the last PATIENCE generations reduced the minimum cost by less than 2 %; 0 never stops."""
     population: Annotated[int, Within(4, 1000)] = 16
     """Candidates per generation."""
     starts: Annotated[int, Within(1, 100)] = 3

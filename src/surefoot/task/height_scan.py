@@ -96,8 +96,7 @@ class ScanConfig:
     shift: Annotated[float, Within(0, 1)] = 0.02
     """Standard deviation [m] of a horizontal offset of the whole map along x and y, drawn once per episode."""
     holes: Annotated[float, Within(0, 1)] = 0.02
-    """Fraction of points with a missing height in each control step. They get the height under the middle of the
-    base."""
+    """Fraction of points without a height in each control step, which get that under the middle of the base."""
     delay: Annotated[int, Within(0, 50)] = 2
     """Age of the map [control steps]."""
 

@@ -132,9 +132,6 @@ def test_the_motors_are_damped_if_the_supervisor_dies_or_hangs(operator: Operato
     """`test_supervisor.py` tests the supervisor when other processes end."""
     operator.arm()
     operator.hold(lambda: False, 0.1)
-    # Just after a command: if stopped while writing one, it would send that as soon as it continues.
-    while time.monotonic() - body.read()[-1].time > 0.0007:
-        pass
     ended = time.monotonic()
     os.kill(operator.supervisor, signal.SIGKILL if how == "killed" else signal.SIGSTOP)
     first = body.wait_for(lambda frame: frame.damps, ended)
@@ -143,7 +140,9 @@ def test_the_motors_are_damped_if_the_supervisor_dies_or_hangs(operator: Operato
         os.kill(operator.supervisor, signal.SIGCONT)
     time.sleep(0.2)
     frames = [frame for frame in body.read() if frame.time >= ended]
-    assert all(frame.damps for frame in frames if frame.time >= first.time)
+    held = [frame for frame in frames if frame.time >= first.time and not frame.damps]
+    # If it was stopped while writing a command, it sends that as soon as it continues.
+    assert len(held) <= (how == "stands still"), held
     assert max(b.time - a.time for a, b in itertools.pairwise(frames)) < REACTION
 
 
