@@ -11,8 +11,8 @@ tuned for little power in MuJoCo.
 All run in one simulator, with the settings of the authors' own example. An episode lasts 6 s. The desired speed of
 Raibert's controller rises linearly in the first second. Speed and power are means from 2 s to the end. Speed is along
 the heading, because no gait here controls its heading. Settings that fall in an episode are left out. The power of a
-baseline at a learned trot's speed is interpolated between a slower and a faster setting: the pair with the minimum. Means
-over the gaits that go 0.55 to 0.62 m/s were added after the runs.
+baseline at a learned trot's speed is interpolated between a slower and a faster setting: the pair with the minimum.
+Means over the gaits that go 0.55 to 0.62 m/s were added after the runs.
 
 Definitions of power, as in benchmarks/power.py, from each servo step of 1 ms:
 

@@ -16,7 +16,7 @@ ALLOWED: dict[str, set[str]] = {
     "robot": set(),
     "actuator": {"robot"},
     "world": {"actuator", "robot"},
-    "task": {"robot", "policy", "world.interface", "world.ground", "world.terrain"},
+    "task": {"robot", "policy", "estimation", "world.interface", "world.ground", "world.terrain"},
     "learn": {"task", "policy", "evaluation", "robot", "world.interface"},
     "policy": {"robot"},
     "estimation": {"robot"},
@@ -25,7 +25,7 @@ ALLOWED: dict[str, set[str]] = {
     "deploy": {
         *("robot", "policy", "estimation", "world.interface"),
         *("task.contract_mapping", "task.policy_plugins", "task.commands", "task.observation", "task.gait"),
-        *("task.component", "task.gait_components", "task.state"),
+        *("task.component", "task.gait_components", "task.state", "task.base_velocity"),
         *("task.height_scan", "task.trace", "task.partial_trace"),
     },
     "emulator": {"deploy", "world", "actuator", "robot", "task.height_scan"},

@@ -154,7 +154,7 @@ def test_the_page_documents_every_field_and_its_example_is_valid(go2, tmp_path, 
     path.write_text(example)
     # A history of only one term is possible if the order is by term.
     specification = FORMATS["manual"].read(path, go2, {})
-    assert check_specification(specification, go2) == 3 + 15 + 3 + 12 + 12 + 12 + 2 + 4 + 2
+    assert check_specification(specification, go2) == 3 + 15 + 3 + 3 + 12 + 12 + 12 + 2 + 4 + 2
     for kind in (PolicySpecification, ObservationTerm):
         for item in fields(kind):
             assert f"{item.name}:" in example

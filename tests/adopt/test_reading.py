@@ -259,7 +259,7 @@ def test_hip_reduction_of_version_3_equals_a_reduced_action_scale(take):
 def test_a_network_with_another_width_is_rejected_with_its_width(take):
     message = rejection(take, "manual", MANUAL, 48)
     assert "the network takes 48 numbers; the observations are 45: angular_velocity 3 x 1" in message
-    assert message.endswith("3 more could be the speed of the base, which no sensor of a robot measures")
+    assert message.endswith("3 more could be the speed of the base (term base_velocity)")
 
 
 def test_folders_of_unitree_rl_lab_are_searched(go2, tmp_path):

@@ -31,7 +31,10 @@ def test_the_contract_matches_rl_sars_files(adopted):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"observations": ["ang_vel", "lin_vel"]}, "observation 'lin_vel' is the speed of the base, which no sensor"),
+        (
+            {"observations": ["ang_vel", "lin_vel"]},
+            "observation base_velocity is the speed of the base, which no sensor",
+        ),
         ({"observations": ["ang_vel", "ang_speed"]}, "observation 'ang_speed' is unknown; known are commands"),
         ({"rl_kp": None}, "rl_kp is missing; it must be given"),
         ({"rl_kp": [20.0] * 11}, "kp has 11 numbers; there are 12 joints"),

@@ -61,6 +61,29 @@ def test_an_adopted_policy_works_with_other_commands(adopted, tmp_path, capsys):
     assert main(["show", str(tmp_path / "out" / "episode_000.npz"), "--out", str(tmp_path / "show.html")]) == 0
 
 
+def test_a_policy_that_observes_the_velocity_is_adopted_and_examined_with_the_estimate(tmp_path, monkeypatch, capsys):
+    network, path = tmp_path / "theirs.onnx", tmp_path / "mine.onnx"
+    names = f"base_lin_vel,{MJLAB_PROPERTIES['observation_names']}"
+    network.write_bytes(perceptron(48, properties={**MJLAB_PROPERTIES, "observation_names": names}))
+    words = ["adopt", str(network), "--from", "mjlab", "--robot", "go2", "--out", str(path)]
+    assert main(words) == 2
+    assert "give --base-velocity estimate to adopt the policy" in capsys.readouterr().err
+    assert not path.exists()
+    assert main([*words, "--base-velocity", "estimate"]) == 0
+    assert "note: speed of the base: estimated from the IMU and the legs" in capsys.readouterr().out
+    assert main(["evaluate", str(path), "--episodes", "2", "--duration", "0.4", "--out", str(tmp_path / "out")]) == 0
+    monkeypatch.setattr("surefoot.adopt.mistakes._CORRECTION_KINDS", ())
+    for module in ("examination", "diagnosis"):
+        monkeypatch.setattr(f"surefoot.adopt.{module}.EPISODE_DURATION", 0.5)
+    monkeypatch.setattr("surefoot.adopt.diagnosis.SCREENING_DURATION", 0.2)
+    capsys.readouterr()
+    main(["doctor", str(path), "--threads", "1", "--out", str(tmp_path / "page"), "--json"])
+    result = json.loads(capsys.readouterr().out)
+    (check,) = [check for check in result["checks"] if check["name"] == "base velocity"]
+    assert "of 16 robots fell" in check["message"]
+    assert "with the true speed of the base" in (tmp_path / "page" / "examination.html").read_text(encoding="utf-8")
+
+
 def test_doctor_lists_the_changes_tried(adopted, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("surefoot.adopt.mistakes._CORRECTION_KINDS", ())
     for module in ("examination", "diagnosis"):

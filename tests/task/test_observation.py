@@ -99,7 +99,7 @@ def check(env: LocomotionEnv, names: tuple[str, ...], history: int) -> Contract:
 
 
 def test_every_part_of_an_observation_is_tested():
-    assert set(PARTS) == {*WIDTHS, "command", "memory", "height_scan", "footholds", "over_holes"}
+    assert set(PARTS) == {*WIDTHS, "command", "memory", "height_scan", "footholds", "over_holes", "base_velocity"}
     assert (PARTS["roll_rate"].unit, PARTS["roll_rate"].frame) == ("rad/s", "base, about x")
 
 

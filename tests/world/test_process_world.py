@@ -124,6 +124,20 @@ def test_states_are_interchangeable_with_one_world(single, spread, trot, assert_
     assert_same(spread.truth(), single.truth())
 
 
+def test_torque_readings_of_several_processes_are_joined(robot, trot):
+    config = {"torque_readings": True, **CONFIG}
+    one = SimWorld(robot, NUM, None, 3, WorldConfig(threads=1, **config))
+    several = ProcessWorld(robot, NUM, None, 3, WorldConfig(threads=2, **config), "mujoco")
+    try:
+        for k in range(5):
+            readings = one.step(trot(k)).motor_torque
+            np.testing.assert_array_equal(several.step(trot(k)).motor_torque, readings)
+        several.set_state(one.get_state())
+        np.testing.assert_array_equal(several.readings().motor_torque, readings)
+    finally:
+        several.close()
+
+
 def test_shared_arrays_are_complete(robot):
     # Arrays either have one row per robot, for 3 and for 7 robots, or are shared.
     three, seven = (new_actuation(robot, num, 5, WorldConfig())._asdict() for num in (3, 7))

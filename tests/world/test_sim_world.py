@@ -193,6 +193,46 @@ def test_readings_are_as_old_as_the_control_latency(make_world, trot):
             np.testing.assert_allclose(readings.motor_angle[2], between, atol=1e-12)
 
 
+def test_torques_are_as_old_as_the_other_readings(make_world, trot):
+    latency = [0.0, 0.020, 0.0025]
+    world = make_world(3, config={"torque_readings": True}, control_step=0.001, control_latency=latency)
+    standing = world.readings().motor_torque[0]
+    np.testing.assert_array_equal(world.readings().motor_torque, [standing] * 3)
+    assert np.abs(standing).min() > 0.05  # the motors carry the robot
+    torque = [np.array([standing] * 3)]
+    for k in range(100):
+        readings = world.step(trot(k // 6))
+        torque.append(world.truth().motor_torque)
+        assert np.array_equal(readings.motor_torque[0], torque[-1][0])
+        np.testing.assert_allclose(readings.motor_torque[1], torque[max(0, len(torque) - 21)][1], atol=1e-12)
+        if k >= 3:
+            between = (torque[-3][2] + torque[-4][2]) / 2
+            np.testing.assert_allclose(readings.motor_torque[2], between, atol=1e-12)
+
+
+def test_torque_readings_change_nothing_else(make_world, trot, engine):
+    without, measuring = make_world(2, engine=engine), make_world(2, engine=engine, config={"torque_readings": True})
+    for k in range(30):
+        one, other = without.step(trot(k)), measuring.step(trot(k))
+        assert one.motor_torque is None
+        assert other.motor_torque is not None
+        for name in ("time", "roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    assert "torque_history" not in without.get_state()["actuation"]
+
+
+def test_a_restored_state_has_its_torques(make_world, trot):
+    world = make_world(2, config={"torque_readings": True})
+    for k in range(10):
+        world.step(trot(k))
+    state, torque = world.get_state(), world.readings().motor_torque
+    for k in range(10):
+        world.step(trot(k))
+    assert (world.readings().motor_torque != torque).any()
+    world.set_state(state)
+    np.testing.assert_array_equal(world.readings().motor_torque, torque)
+
+
 def test_reading_twice_reads_the_same(make_world, trot, assert_same):
     world = make_world(2, imu_noise=0.05)
     assert_same(world.step(trot(0)), world.readings())

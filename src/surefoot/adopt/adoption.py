@@ -87,7 +87,8 @@ def adopt(
     with prefix_errors(config):
         specification = _with_robots_names(specification, robot)
         width = _check(specification, robot)
-        specification = replace(specification, notes={**specification.notes, **_gravity_note(specification)})
+        more = {**_gravity_note(specification), **_velocity_note(specification)}
+        specification = replace(specification, notes={**specification.notes, **more})
     data = read_network(path)
     source = {"format": format_name}
     for part, content in (("network", data), ("configuration", config.read_bytes())):
@@ -164,6 +165,14 @@ def _gravity_note(specification: PolicySpecification) -> dict[str, str]:
     if scales.min() < 0.0:
         doubts.append("its sign is opposite to the usual one: (0, 0, -1) of a level base")
     return {"gravity": f"gravity: {'; '.join(doubts)}"} if doubts else {}
+
+
+def _velocity_note(specification: PolicySpecification) -> dict[str, str]:
+    """Return a note if the velocity of the base is estimated."""
+    if not specification.observes_base_velocity:
+        return {}
+    note = "speed of the base: estimated from the IMU and the legs; surefoot doctor compares it with the true speed"
+    return {"base_velocity": note}
 
 
 def _check(specification: PolicySpecification, robot: RobotDescription) -> int:

@@ -31,7 +31,7 @@ from surefoot.robot.params_file import ParamValue
 from surefoot.task.commands import CommandConfig
 from surefoot.task.config import TaskConfig
 from surefoot.task.contract_mapping import contract_from_task
-from surefoot.task.observation import Observer
+from surefoot.task.observation import BASE_VELOCITY, Observer
 
 _REWARD = {"track_velocity": 1.0, "track_yaw_rate": 0.5}
 """Reward of the contract's task: command tracking, because the reward of the policy's training is unknown."""
@@ -45,6 +45,7 @@ OBSERVATION_PARTS = {
     "command": ("command",),
     "gravity": ("gravity",),
     "angular_velocity": ("roll_rate", "pitch_rate", "yaw_rate"),
+    "base_velocity": (BASE_VELOCITY,),
     "roll_pitch": ("roll", "pitch"),
     "joint_positions": ("motor_angles",),
     "joint_speeds": ("motor_speeds",),
@@ -57,6 +58,7 @@ VECTOR_COLUMNS = {
     "command": ("command_forward", "command_sideways", "command_yaw_rate"),
     "gravity": ("gravity_x", "gravity_y", "gravity_z"),
     "angular_velocity": ("roll_rate", "pitch_rate", "yaw_rate"),
+    "base_velocity": tuple(f"{BASE_VELOCITY}_{axis}" for axis in "xyz"),
     "roll_pitch": ("roll", "pitch"),
 }
 """Columns of surefoot's observation for terms that are vectors."""
@@ -188,9 +190,11 @@ def check_specification(specification: PolicySpecification, robot: RobotDescript
     """Check a specification against the robot; return the expected number of inputs of the network.
 
     Raises:
-        SurefootError: the joints differ, the legs can't reach the default pose, or a term has the wrong size.
+        SurefootError: the joints differ, the legs can't reach the default pose, a term has the wrong size, or the
+            velocity of the base is observed without a source.
     """
     specification.check_commands()
+    specification.check_base_velocity()
     width = sum(_width(term, robot.num_motors) * len(term.steps) for term in specification.observations)
     maker = PolicyBuilder(specification, NetworkSizes(width, len(specification.joints)), robot)
     check_policy(maker.contract("policy", {}), robot)
@@ -199,7 +203,7 @@ def check_specification(specification: PolicySpecification, robot: RobotDescript
 
 def _likely_rest(more: int, steps: int, joints: int) -> str:
     """Guess the meaning of inputs that the specification lacks, as the end of a message."""
-    likely = {3: "the speed of the base, which no sensor of a robot measures", 4: "the contacts of the feet"}
+    likely = {3: "the speed of the base (term base_velocity)", 4: "the contacts of the feet"}
     likely |= {joints: "the last action, or another term of the joints"}
     what = likely.get(more // max(steps, 1)) if more > 0 and more % max(steps, 1) == 0 else None
     return f"; {more} more could be {what}" if what else ""
@@ -314,6 +318,8 @@ class PolicyBuilder:
         """Return the policy's contract; its metrics store specification and notes for the search for mistakes."""
         kept = to_mapping(self.specification)
         notes = kept.pop("notes")
+        if kept["base_velocity"] is None:
+            del kept["base_velocity"]  # files of other policies stay as they were
         figures = {"adopted": {**source, "notes": notes, "specification": kept}}
         return contract_from_task(self.task, self.robot, metrics=figures, name=name)
 

@@ -17,7 +17,9 @@ from surefoot.adopt.constant_inputs import ConstantInputs, constant_inputs
 from surefoot.adopt.examination import (
     EPISODE_DURATION,
     MIN_GOOD_SCORE,
+    Change,
     TrialResult,
+    TrueVelocity,
     examine,
     require_specification,
 )
@@ -44,6 +46,10 @@ TIE_MARGIN = 0.03
 """Difference in likelihood up to which two changes can't be distinguished."""
 MIN_WALKING_SCORE, MIN_GOOD_WALKING_SCORE = 0.6, 0.65
 """Minimum score of a policy that walks, and of one that walks so well that no number is called a mistake."""
+MAX_ERROR_RATIO = 1.5
+"""Maximum ratio of a policy's errors with the estimated speed of the base to its errors with the true speed."""
+MIN_DIFFERENCE = np.array([0.02, 0.02, 0.04])
+"""Differences of these errors [m/s, m/s, rad/s] that do not matter."""
 DIFFERENCE_PENALTY = 0.02
 """Penalty on the score of a robot variant per property that differs, for the choice of the best variants."""
 
@@ -60,6 +66,8 @@ class Diagnosis:
     """Results of the unchanged policy on robot variants, the best first."""
     constants: ConstantInputs | None = None
     """Constant inputs of the network, or None."""
+    with_true_velocity: TrialResult | None = None
+    """Result of the unchanged policy with the true speed of the base; None if it does not observe the speed."""
 
     @classmethod
     def from_results(
@@ -76,7 +84,8 @@ class Diagnosis:
             (one for one in trials[1:] if one.correction is not None), key=lambda trial: -trial.likelihood
         )
         variants = sorted((one for one in trials if isinstance(one.change, RobotVariant)), key=_variant_sort_key)
-        return cls(trials[0], (*corrected, *others), tuple(variants), constants)
+        true = next((one for one in trials if isinstance(one.change, TrueVelocity)), None)
+        return cls(trials[0], (*corrected, *others), tuple(variants), constants, true)
 
     @property
     def mistake(self) -> TrialResult | None:
@@ -141,7 +150,8 @@ def diagnose(
     progress: Progress | None = None,
 ) -> Diagnosis:
     """Examine a policy unchanged, with each usual mistake corrected, and on robot variants; see `examine`."""
-    tried = corrections(require_specification(policy.contract), robot)
+    specification = require_specification(policy.contract)
+    tried = corrections(specification, robot)
     variants = _allowed_variants(robot, task)
 
     def half_from(start: float) -> Progress | None:
@@ -163,7 +173,9 @@ def diagnose(
     first.sort(key=lambda trial: -trial.likelihood)
     better = [one for one in first if one.correction is not None]
     other_robots = sorted((one for one in first if one.correction is None), key=_variant_sort_key)[:MAX_FINAL_VARIANTS]
-    again = [one.change for one in (own, *better[:MAX_FINALISTS], *other_robots)]
+    again: list[Change | None] = [one.change for one in (own, *better[:MAX_FINALISTS], *other_robots)]
+    if specification.observes_base_velocity:
+        again.append(TrueVelocity())
     # Another seed than in the selection of finalists, so that the final scores are not biased by it.
     final = examine(
         policy, robot, task, again, world, seed + 1, threads, half_from(0.5), EPISODE_DURATION, FINAL_REPEATS
@@ -185,7 +197,7 @@ def _allowed_variants(robot: RobotDescription, task: TaskConfig) -> list[RobotVa
 
 
 def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyType({})) -> list[CheckResult]:
-    """Return check results: one per command, and one each for constant inputs and the specification.
+    """Return check results: one per command, and one each for base velocity, constant inputs and the specification.
 
     Args:
         diagnosis: diagnosis of the policy.
@@ -208,9 +220,26 @@ def check_answers(diagnosis: Diagnosis, notes: Mapping[str, str] = MappingProxyT
         if name == "stand" and "stand" in notes:
             message += f"; {notes['stand']}"
         results.append(pass_if(name, bool(score >= MIN_GOOD_SCORE), message, "", remedy, float(score)))
+    if diagnosis.with_true_velocity is not None:
+        results.append(_check_velocity(own, diagnosis.with_true_velocity))
     if diagnosis.constants is not None:
         results.append(_check_constants(diagnosis))
     return [*results, _check_specification(diagnosis)]
+
+
+def _check_velocity(own: TrialResult, true: TrialResult) -> CheckResult:
+    """Compare a policy with the estimated and with the true speed of the base."""
+
+    def describe(trial: TrialResult) -> str:
+        errors = "errors {:.2f} m/s forward, {:.2f} m/s sideways, {:.2f} rad/s".format(*trial.errors)
+        return f"{trial.falls} of {trial.upright_fraction.size} robots fell, {errors}"
+
+    limit = np.maximum(MAX_ERROR_RATIO * true.errors, true.errors + MIN_DIFFERENCE)
+    passed = own.falls <= true.falls and not bool((own.errors > limit).any())
+    message = f"estimated: {describe(own)}; true: {describe(true)}"
+    rule = f"; with the estimate no more may fall, and errors may be {MAX_ERROR_RATIO:g} times as large"
+    remedy = "see docs/estimation.md on when not to trust the estimate, or train without the speed"
+    return pass_if("base velocity", passed, message, rule, remedy, float(own.score - true.score))
 
 
 def _check_constants(diagnosis: Diagnosis) -> CheckResult:

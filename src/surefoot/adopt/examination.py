@@ -27,9 +27,12 @@ from surefoot.policy.contract import MEMORY, Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
+from surefoot.rotations import quat_matrix
 from surefoot.task.commands import CommandConfig
+from surefoot.task.component import Component
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
+from surefoot.task.state import EnvState
 from surefoot.world.registry import find_world
 
 EPISODE_DURATION = 4.0
@@ -58,11 +61,22 @@ _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
+class TrueVelocity:
+    """The true velocity of the base in place of its estimate, which shows what the estimate costs."""
+
+    text: str = "with the true speed of the base"
+
+
+Change = Correction | RobotVariant | TrueVelocity
+"""What a trial changes: the specification, the robot, or the source of the base's velocity."""
+
+
+@dataclass(frozen=True)
 class TrialResult:
     """Result of one change in an examination: R robots for each of C commands."""
 
-    change: Correction | RobotVariant | None
-    """The change of the specification or of the robot; None: both are unchanged."""
+    change: Change | None
+    """The change; None: everything is unchanged."""
     commands: tuple[str, ...]
     """Names of the commands."""
     command: Array
@@ -93,6 +107,19 @@ class TrialResult:
     def fell(self) -> NDArray[np.bool_]:
         """Whether a robot fell, for each command (C,)."""
         return np.asarray(self.upright_fraction.min(axis=0) < 1.0 - 1e-6)
+
+    @property
+    def falls(self) -> int:
+        """Number of robots that fell, over all commands."""
+        return int((self.upright_fraction < 1.0 - 1e-6).sum())
+
+    @property
+    def errors(self) -> Array:
+        """Mean absolute errors of the commands over robots that did not fall (3,) [m/s, m/s, rad/s]."""
+        upright = self.upright_fraction >= 1.0 - 1e-6
+        if not upright.any():
+            return np.full(3, np.nan)
+        return np.asarray(np.abs(self.motion - self.command)[upright].mean(axis=0))
 
     @property
     def scores(self) -> Array:
@@ -192,11 +219,38 @@ class CorrectedPolicy:
         return feedback
 
 
+class _TrueVelocities(Component):
+    """Replaces the estimated velocity of the base by the true one for some robots.
+
+    Args:
+        chosen: whether to replace it, for each robot (N,).
+    """
+
+    def __init__(self, chosen: NDArray[np.bool_]) -> None:
+        self._chosen = chosen
+
+    def reset(self, rows: NDArray[np.int64], state: EnvState) -> None:
+        """Replace the velocities at the start of an episode."""
+        self.publish(state)
+
+    def after_step(self, state: EnvState) -> None:
+        """Replace the velocities after a control step."""
+        self.publish(state)
+
+    def publish(self, state: EnvState) -> None:
+        """Write the true velocities to the state."""
+        truth = state.truth
+        assert state.base_velocity is not None
+        to_base = quat_matrix(truth.base_quat_world).swapaxes(-1, -2)
+        velocity = (to_base @ truth.base_velocity_world[..., None])[..., 0]
+        state.base_velocity = np.where(self._chosen[:, None], velocity, state.base_velocity)
+
+
 def examine(
     policy: PolicyRuntime,
     robot: RobotDescription,
     task: TaskConfig,
-    tried: Sequence[Correction | RobotVariant | None],
+    tried: Sequence[Change | None],
     world: str = "mujoco",
     seed: int = 0,
     threads: int = 1,
@@ -246,6 +300,8 @@ def examine(
             rows = np.arange(k * size, (k + 1) * size)
             own = params.rows(rows)
             params.set_rows(rows, own.with_values(robot, **one.params(own)))
+    if any(isinstance(one, TrueVelocity) for one in tried):
+        env.components.append(_TrueVelocities(np.repeat([isinstance(one, TrueVelocity) for one in tried], size)))
     env.world.set_params(np.arange(robots), params)
     observation, _ = env.reset()
     sums, times = np.zeros((robots, 3)), np.zeros(robots)

@@ -34,6 +34,8 @@ from surefoot.rotations import up_direction
 
 _PHYSICS_STEP = 0.005
 """Time between two commands to the motors in rl_sar [s]."""
+_TERM_ORDER = ("command", "angular_velocity", "gravity", "joint_positions", "joint_speeds", "last_action")
+"""Observation terms of exported policies. Other frameworks have no estimate of the velocity of the base."""
 _TOLERANCE = 1e-4
 _SAMPLES = 64
 
@@ -245,7 +247,7 @@ def _actions(
 def _terms(policy: PolicyRuntime) -> tuple[str, ...]:
     """Return the observation terms of the exported policy, in order."""
     term_of_part = {
-        **{part: term for term, parts in OBSERVATION_PARTS.items() for part in parts},
+        **{part: term for term, parts in OBSERVATION_PARTS.items() for part in parts if term in _TERM_ORDER},
         **dict.fromkeys(("roll", "pitch"), "gravity"),
         **dict.fromkeys(("last_action", "memory"), "last_action"),
     }
@@ -254,9 +256,8 @@ def _terms(policy: PolicyRuntime) -> tuple[str, ...]:
         raise SurefootError(
             f"policy '{policy.contract.name}' can't be exported: it observes {choices(unknown)}; the format does not"
         )
-    order = ("command", "angular_velocity", "gravity", "joint_positions", "joint_speeds", "last_action")
     needed = {term_of_part[part] for part in parts}
-    return tuple(term for term in order if term in needed)
+    return tuple(term for term in _TERM_ORDER if term in needed)
 
 
 class _Place(NamedTuple):

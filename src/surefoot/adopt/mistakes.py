@@ -237,6 +237,14 @@ _TERM_ORDERS = {
         *("angular_velocity", "gravity", "command", "joint_positions", "joint_speeds", "last_action"),
     ),
     "of HIMLoco": ("command", "angular_velocity", "gravity", "joint_positions", "joint_speeds", "last_action"),
+    "of legged_gym and Isaac Lab with the base's velocity": (
+        *("base_velocity", "angular_velocity", "gravity", "command"),
+        *("joint_positions", "joint_speeds", "last_action"),
+    ),
+    "of mjlab with the base's velocity": (
+        *("base_velocity", "angular_velocity", "gravity"),
+        *("joint_positions", "joint_speeds", "last_action", "command"),
+    ),
     "of mjlab": ("angular_velocity", "gravity", "joint_positions", "joint_speeds", "last_action", "command"),
     "with gravity first": ("gravity", "angular_velocity", "command", "joint_positions", "joint_speeds", "last_action"),
 }

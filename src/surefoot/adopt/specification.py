@@ -18,6 +18,7 @@ TermName = Literal[
     "command",
     "gravity",
     "angular_velocity",
+    "base_velocity",
     "roll_pitch",
     "joint_positions",
     "joint_speeds",
@@ -26,6 +27,8 @@ TermName = Literal[
     "constant",
 ]
 MAX_HISTORY = 100
+BASE_SPEED = "is the speed of the base, which no sensor of a robot measures"
+BASE_SPEED_REMEDY = "give --base-velocity estimate to adopt the policy with an estimate from the IMU and the legs"
 PerJoint = float | tuple[float, ...]
 """One number, or one per joint in the network's order."""
 Range = tuple[float, float]
@@ -37,7 +40,8 @@ class ObservationTerm:
 
     term: TermName
     """command: forward and leftward velocity [m/s] and yaw rate [rad/s]; gravity: unit vector in the base frame,
-    (0, 0, -1) for a level base; angular_velocity: of the base, in the base frame [rad/s]; roll_pitch [rad];
+    (0, 0, -1) for a level base; angular_velocity: of the base, in the base frame [rad/s]; base_velocity: estimated
+    velocity of the base, in the base frame [m/s]; roll_pitch [rad];
     joint_positions: minus the default pose [rad]; joint_speeds [rad/s]; last_action: raw network output, clipped by
     `action_clip`, initially 0; clock: sine and cosine of a phase; constant: `values`."""
     scale: Annotated[PerJoint, Within(-1e4, 1e4)] = 1.0
@@ -114,6 +118,9 @@ class PolicySpecification:
     """Range of yaw rate commands [rad/s]."""
     latency: Annotated[float | None, Within(0, 1)] = None
     """Latency of the readings in training [s]; defaults to the robot's nominal value."""
+    base_velocity: Literal["estimate"] | None = None
+    """Source of the observation base_velocity, which no sensor of a robot measures. estimate: an estimate from the IMU
+    and the legs; None: there is none, so that a policy that observes it can't be adopted."""
     fall_angle: Annotated[float, Within(1e-3, math.pi)] = 0.5
     """Roll or pitch [rad] beyond which an episode ends."""
     name: str = ""
@@ -143,6 +150,21 @@ class PolicySpecification:
             raise SurefootError("observations are empty; name at least one")
         if self.history_by == "step" and len({term.steps for term in self.observations}) > 1:
             raise SurefootError("history_by is step, so all observations must have the same steps")
+
+    @property
+    def observes_base_velocity(self) -> bool:
+        """Whether the network observes the velocity of the base."""
+        return any(term.term == "base_velocity" for term in self.observations)
+
+    def check_base_velocity(self) -> None:
+        """Reject an observed velocity of the base without a source, and a source that nothing observes."""
+        if self.observes_base_velocity and self.base_velocity is None:
+            raise SurefootError(f"observation base_velocity {BASE_SPEED}; {BASE_SPEED_REMEDY}")
+        if self.base_velocity is not None and not self.observes_base_velocity:
+            raise SurefootError(
+                f"base_velocity is {self.base_velocity}; the network does not observe the speed of the base: leave "
+                "--base-velocity out"
+            )
 
     def check_commands(self) -> None:
         """Reject command ranges without 0, which is surefoot's command to stand."""

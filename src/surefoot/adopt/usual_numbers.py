@@ -15,13 +15,15 @@ _USUAL_COMMANDS = ((1.0, 1.0, 1.0), (2.0, 2.0, 0.25))
 """Scales of commands: Isaac Lab's and legged_gym's."""
 _USUAL_RATES = ((0.25, 0.05), (0.2, 0.05), (1.0, 1.0))
 """Scales of angular velocity and joint speeds: legged_gym's, unitree_rl_lab's and mjlab's."""
+_USUAL_VELOCITIES = (1.0, 2.0)
+"""Scales of the base's velocity: Isaac Lab's and legged_gym's."""
 _USUAL_ACTIONS = (0.1, 0.125, 0.2, 0.25, 0.3, 0.5)
 _USUAL_GAINS = (0.2, 1.2)
 """Range of the proportional gain per radian, relative to the robot's weight times the length of its legs."""
 _USUAL_DAMPING = (0.018, 0.07)
 """Range of the ratio of derivative to proportional gain [s]."""
 _USUAL_STEP = 0.02
-VECTORS = ("command", "gravity", "angular_velocity")
+VECTORS = ("command", "gravity", "angular_velocity", "base_velocity")
 """Observation terms with three components."""
 
 
@@ -43,6 +45,9 @@ def unusual_numbers(spec: PolicySpecification, robot: RobotDescription) -> tuple
         ),
         "order of axes": all(list(term.columns) == sorted(term.columns) for term in spec.observations if term.columns),
         "scale of gravity": np.allclose(sizes.get("gravity", 1.0), 1.0),
+        "scale of base velocity": any(
+            np.allclose(sizes.get("base_velocity", 1.0), usual) for usual in _USUAL_VELOCITIES
+        ),
         "scale of joint positions": np.allclose(sizes.get("joint_positions", 1.0), 1.0),
         "scale of last action": np.allclose(sizes.get("last_action", 1.0), 1.0),
         "scale of actions": np.isclose(np.abs(_column(spec.action_scale)), _USUAL_ACTIONS).any(axis=1).all(),

@@ -50,6 +50,9 @@ class AdoptCommand:
     """Time between two actions [s]. Defaults to the value in the files."""
     latency: float | None = None
     """Age of the sensor readings during training [s]. Defaults to the robot's nominal latency."""
+    base_velocity: Literal["estimate"] | None = None
+    """Source of the base's velocity for a policy that observes it, since no sensor measures it. estimate: an estimate
+    from the IMU and the legs. Without it, such a policy is rejected."""
     trust: bool = False
     """Load TorchScript with all your privileges if this machine does not support a sandbox."""
     json: Json = False
@@ -65,7 +68,7 @@ def main(argv: list[str]) -> int:
     from surefoot.files import atomic_write
     from surefoot.policy.runtime import PolicyRuntime
 
-    names = ("forward", "sideways", "yaw_rate", "kp", "kd", "control_step", "latency")
+    names = ("forward", "sideways", "yaw_rate", "kp", "kd", "control_step", "latency", "base_velocity")
     changes = {name: value for name in names if (value := getattr(command, name)) is not None}
     result = adopt(command.file, command.format, robot, command.out.stem, command.config, changes, command.trust)
     contract = PolicyRuntime.parse(result.data).contract

@@ -14,6 +14,7 @@ from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import STAND_COMMAND
+from surefoot.task.base_velocity import BaseVelocity
 from surefoot.task.commands import CommandGenerator
 from surefoot.task.component import RobotComponent
 from surefoot.task.contract_mapping import task_from_contract
@@ -51,6 +52,8 @@ class Controller:
         self._history: NDArray[np.float32] | None = None
         self._source = _OperatorCommand(1)
         self._components: list[RobotComponent] = []
+        if self.task.needs_base_velocity:
+            self._components.append(BaseVelocity(robot, 1))
         if limits is not None:
             self._components += gait_components(self.gait, limits, self._source, 1)
         self._state: RobotState
@@ -95,6 +98,7 @@ class Controller:
             angular_velocity_base=state.angular_velocity_base[None],
             motor_angle=state.motor_angle[None],
             motor_velocity=state.motor_velocity[None],
+            motor_torque=state.motor_torque[None],
         )
         duration = np.array([self.contract.control_step * (missed + 1)])
         if self._history is None:

@@ -23,7 +23,7 @@ from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
 
 _SIGN_FLIPPED_COLUMNS = (
-    *("roll", "roll_rate", "yaw", "yaw_rate", "velocity_y", "gravity_y", "push_y", "imu_bias.roll"),
+    *("roll", "roll_rate", "yaw", "yaw_rate", "velocity_y", "base_velocity_y", "gravity_y", "push_y", "imu_bias.roll"),
     *("command_sideways", "command_yaw_rate", "heading_error", "foothold_y"),
 )
 """Columns, or prefixes of columns before a point, that change sign in the mirror image."""

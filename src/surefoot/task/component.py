@@ -2,7 +2,7 @@
 
 `LocomotionEnv` calls the hooks of its components in the order of `components.make_components`, which lists only the
 components that the task needs. Hooks do nothing unless a component overrides them. A robot's control computer runs the
-components that are a `RobotComponent`: commands, contact reflex and footholds.
+components that are a `RobotComponent`: velocity estimate, commands, contact reflex and footholds.
 """
 
 from __future__ import annotations

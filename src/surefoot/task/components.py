@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Randomizer
+from surefoot.task.base_velocity import BaseVelocity
 from surefoot.task.commands import CommandGenerator
 from surefoot.task.component import Component
 from surefoot.task.config import TaskConfig
@@ -59,6 +60,8 @@ def make_components(setup: Setup) -> list[Component]:
         components.append(TrueHeights(robot))
     if task.needs_height_map:
         components.append(HeightScan(HeightScanner(terrain.scan, robot, num_envs, seed)))
+    if task.needs_base_velocity:
+        components.append(BaseVelocity(robot, num_envs))
     if limits is not None:
         source = setup.source or task.commands.make_generator(limits, num_envs, seed)
         components += gait_components(setup.gait, limits, source, num_envs)

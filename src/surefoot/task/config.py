@@ -17,7 +17,7 @@ from surefoot.robot.params_file import ParamValue
 from surefoot.robot.randomization import Ranges, check_ranges, resolve_table
 from surefoot.task.commands import CommandConfig
 from surefoot.task.gait import ActionKind, HybridGait, narrow_bounds
-from surefoot.task.observation import IMU_AND_MOTORS_12D, OVER_HOLES
+from surefoot.task.observation import BASE_VELOCITY, IMU_AND_MOTORS_12D, OVER_HOLES
 from surefoot.task.pushes import PushConfig
 from surefoot.task.reference_config import REFERENCES, NoReferenceConfig, ReferenceField
 from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
@@ -134,6 +134,11 @@ class TaskConfig:
     def needs_height_map(self) -> bool:
         """Whether the task needs a map of terrain heights, as an observation or to choose footholds."""
         return "height_scan" in self.observations or bool(self.reference.foothold_radius)
+
+    @property
+    def needs_base_velocity(self) -> bool:
+        """Whether the policy observes an estimate of the base's velocity."""
+        return BASE_VELOCITY in self.observations
 
     def gait(self, robot: RobotDescription) -> HybridGait:
         """Return the gait of a robot: its reference and the bounds of the feedback.

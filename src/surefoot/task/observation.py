@@ -88,6 +88,13 @@ def _heights(state: RobotState) -> Array:
     return state.heights
 
 
+def _base_velocity(state: RobotState) -> Array:
+    """Return the estimated velocity of the base in its frame (N, 3) [m/s]."""
+    if state.base_velocity is None:
+        raise SurefootError(f"observation '{BASE_VELOCITY}' needs an estimate of the velocity; there is none here")
+    return state.base_velocity
+
+
 def _motor_columns(prefix: str) -> Callable[[RobotDescription], list[str]]:
     return lambda robot: [f"{prefix}.{name}" for name in robot.motor_names]
 
@@ -98,6 +105,8 @@ def _angular_velocity(axis: int) -> Callable[[RobotState], Array]:
 
 OVER_HOLES = "over_holes"
 """Name of the observation of the blend weight of the gait over holes, and of its column."""
+BASE_VELOCITY = "base_velocity"
+"""Name of the observation of the estimated velocity of the base, and prefix of its columns."""
 
 PARTS: dict[str, ObservationPart] = {
     "roll": ObservationPart("rad", "base in world", lambda _: ["roll"], lambda m: m.readings.roll_pitch_yaw[:, 0:1]),
@@ -113,6 +122,9 @@ PARTS: dict[str, ObservationPart] = {
     "reference_phase": ObservationPart("1", "reference gait", lambda _: ["phase_sin", "phase_cos"], gait_phase),
     "command": ObservationPart(
         "m/s, m/s, rad/s", "heading: x forward, y left", lambda _: [f"command_{name}" for name in COMMANDS], _command
+    ),
+    BASE_VELOCITY: ObservationPart(
+        "m/s", "base", lambda _: [f"{BASE_VELOCITY}_{axis}" for axis in "xyz"], _base_velocity
     ),
     "height_scan": ObservationPart(
         "m", "heading, from the base's origin: x forward, y left, z up", lambda _: POLICY_GRID.columns(), _heights

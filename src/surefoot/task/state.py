@@ -97,6 +97,8 @@ class RobotState:
     """Command, phase, footholds and lift of the gait; None in a task without commands."""
     heights: Array | None = None
     """Terrain heights around the robots (N, K) [m], see `height_scan`; None without a map."""
+    base_velocity: Array | None = None
+    """Estimated velocity of the base in its frame (N, 3) [m/s], see `base_velocity`; None unless it is observed."""
 
     @classmethod
     def initial(cls, gait: HybridGait, readings: SensorReadings, duration: Array, **more: Any) -> Any:

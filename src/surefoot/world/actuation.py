@@ -111,6 +111,7 @@ class ActuationState(NamedTuple):
     ticks: NDArray[np.int64]  # (N,) servo steps since reset
     times: Array  # (N, H) s, times of the history
     history: Array  # (N, H, 2 M + 6) past samples
+    torque_history: Array  # (N, H, M) N m, motor torques at these times; (N, 0, M) if nobody reads them
     sample: Array  # (N, 2 M + 6) encoder angles, speeds, roll, pitch, yaw, angular velocity in the base frame
     servo_sample: Array  # (N, 2 M) delayed angles and speeds for the servo
     target: Array  # (N, M) rad
@@ -145,6 +146,7 @@ def new_actuation(robot: RobotDescription, num_envs: int, history: int, config: 
         **dict.fromkeys(_MOTOR_ARRAYS, (motors,)),
         "times": (history,),
         "history": (history, width),
+        "torque_history": (history if config.torque_readings else 0, motors),
         "sample": (width,),
         "servo_sample": (2 * motors,),
         "contact_ticks": (len(robot.legs),),
@@ -215,6 +217,10 @@ def record_sample(state: ActuationState, i: int) -> None:
         state.ticks[i] * state.constants[3],
         state.sample[i],
     )
+    size = state.torque_history.shape[1]
+    if size > 0:
+        for m in range(state.motor_torque.shape[1]):
+            state.torque_history[i, state.ticks[i] % size, m] = state.motor_torque[i, m]
 
 
 @kernel
@@ -357,6 +363,14 @@ def read_delayed(state: ActuationState, latency: Array, out: Array) -> None:
     for i in range(len(latency)):
         at = state.ticks[i] * state.constants[3] - latency[i]
         read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, at, out.shape[1], out[i])
+
+
+@njit(cache=True)
+def read_torque(state: ActuationState, latency: Array, out: Array) -> None:
+    """Write the motor torques of `latency` (N,) [s] ago to `out` (N, M)."""
+    for i in range(len(latency)):
+        at = state.ticks[i] * state.constants[3] - latency[i]
+        read_kernel(state.times[i], state.torque_history[i], state.ticks[i] + 1, at, out.shape[1], out[i])
 
 
 def read_imu(attitude: Array, rates: Array, time: Array, params: PhysicalParams, rows: Any = slice(None)) -> None:

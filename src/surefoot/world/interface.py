@@ -35,6 +35,9 @@ class SensorReadings:
     """Motor angles theta in the robot's motor order (N, M) [rad]."""
     motor_velocity: Array
     """Motor speeds (N, M) [rad/s]."""
+    motor_torque: Array | None = None
+    """Motor torques from the currents, without friction (N, M) [N m]. Robots always measure them; a simulation does if
+    its configuration asks for them (`WorldConfig.torque_readings`), and is None otherwise."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +85,8 @@ class WorldConfig:
     """Fix the base in the air, level and out of reach of the ground."""
     thermal_protection: bool = False
     """Switch off motors that stay over their thermal torque limit, until the next reset."""
+    torque_readings: bool = False
+    """Measure the motor torques: the readings contain them, as old as the other readings."""
     start_linear_speed: float = 0.0
     """Maximum of each component of the base's random velocity after a reset [m/s]."""
     start_angular_speed: float = 0.0

@@ -99,8 +99,8 @@ def _terminate(processes: Sequence[subprocess.Popen[bytes]]) -> None:
 
 def _join(parts: Sequence[Rows]) -> Rows:
     """Concatenate readings or true states of consecutive robots."""
-    columns = {item.name: np.concatenate([getattr(part, item.name) for part in parts]) for item in fields(parts[0])}
-    return type(parts[0])(**columns)
+    measured = [item.name for item in fields(parts[0]) if getattr(parts[0], item.name) is not None]
+    return type(parts[0])(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in measured})
 
 
 def _join_arrays(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:

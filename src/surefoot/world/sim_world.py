@@ -12,7 +12,14 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
-from surefoot.world.actuation import new_actuation, read_delayed, read_imu, record_sample, set_actuation_params
+from surefoot.world.actuation import (
+    new_actuation,
+    read_delayed,
+    read_imu,
+    read_torque,
+    record_sample,
+    set_actuation_params,
+)
 from surefoot.world.engine import EngineFactory, Index
 from surefoot.world.interface import SensorReadings, SimState, WorldConfig
 from surefoot.world.registry import DEFAULT_WORLD, check_modelled, find_engine
@@ -73,7 +80,7 @@ class SimWorld:
         # Static penetration of nominal feet [m]: weight per foot over contact stiffness.
         self._weight = self.engine.gravity * robot.urdf.total_mass / len(robot.legs)
         self._nominal_depth = self._weight / robot.contact.stiffness
-        self._settled_state = self._settle(make_engine)
+        self._settled_state, self._settled_torque = self._settle(make_engine)
         self._imu_streams = generators(seed, "imu noise", first + num_envs)[first:]
         self._start_streams = generators(seed, "start", first + num_envs)[first:]
         self._noise = np.zeros((num_envs, _NOISE_BLOCK, 2))
@@ -85,8 +92,8 @@ class SimWorld:
             self.set_params(np.arange(num_envs), params)
         self.reset()
 
-    def _settle(self, make_engine: EngineFactory) -> Array:
-        """Return the engine state of one nominal robot that has settled in its resting pose."""
+    def _settle(self, make_engine: EngineFactory) -> tuple[Array, Array]:
+        """Return the engine state and motor torques (M,) of one nominal robot that has settled in its resting pose."""
         config = replace(self.config, thermal_protection=False, threads=1)
         actuation = new_actuation(self.robot, 1, self._history, config)
         single = make_engine(self.robot, actuation, config)
@@ -100,8 +107,7 @@ class SimWorld:
             raise SurefootError(
                 f"{self.robot.name}: the robot does not settle at its resting pose; check its description"
             )
-        settled: Array = single.get_state(only)[0]
-        return settled
+        return single.get_state(only)[0], actuation.motor_torque[0].copy()
 
     def reset(self, index: ArrayLike | None = None) -> SensorReadings:
         """Reset robots to the settled resting pose with a new history; return the readings of all robots."""
@@ -128,9 +134,15 @@ class SimWorld:
             draw = np.array([self._start_streams[i].uniform(-1, 1, 6) for i in rows]).reshape(-1, 6)
             speeds = config.start_linear_speed * draw[:, :3], config.start_angular_speed * draw[:, 3:]
             self.engine.set_base_velocity(rows, *speeds)
+        self._record_start(rows)
+
+    def _record_start(self, rows: Index) -> None:
+        """Start the histories of robots that were reset with their present state."""
         self.engine.observe(rows)
         for i in rows:
-            record_sample(actuation, i)
+            record_sample(self.actuation, i)
+        # Motors have no torque before their first step; the robots stand, so their sensors measure one.
+        self.actuation.torque_history[rows, :1] = self._settled_torque
 
     def place_motors(self, angle: Array, velocity: Array) -> None:
         """Set the initial state to measured motor angles [rad] and speeds [rad/s] (N, M).
@@ -140,9 +152,7 @@ class SimWorld:
         rows = np.arange(self.num_envs)
         self.engine.set_motors(rows, angle - self.actuation.motor_offset, velocity)
         self.actuation.filtered_speed[:] = velocity
-        self.engine.observe(rows)
-        for i in range(self.num_envs):
-            record_sample(self.actuation, i)
+        self._record_start(rows)
 
     def step(self, target: ArrayLike, active: NDArray[np.bool_] | None = None) -> SensorReadings:
         """Hold motor angles (N, M) [rad] for one control step of each robot; return the readings at its end.
@@ -185,12 +195,17 @@ class SimWorld:
         if self.params.imu_noise.any():
             noise = self._noise[np.arange(self.num_envs), self._control_steps % _NOISE_BLOCK]
             angles[:, :2] += noise * self.params.imu_noise[:, None]
+        torque = None
+        if self.config.torque_readings:
+            torque = np.empty_like(self.actuation.motor_torque)
+            read_torque(self.actuation, self.params.control_latency, torque)
         return SensorReadings(
             time=time,
             roll_pitch_yaw=angles,
             angular_velocity_base=rates,
             motor_angle=out[:, :motors],
             motor_velocity=out[:, motors : 2 * motors],
+            motor_torque=torque,
         )
 
     def _draw_noise(self, rows: Index) -> None:
@@ -253,7 +268,7 @@ class SimWorld:
         """Return the complete state of the world."""
         return {
             "engine": self.engine.get_state(np.arange(self.num_envs)),
-            "actuation": {name: array.copy() for name, array in self.actuation._asdict().items()},
+            "actuation": {name: array.copy() for name, array in self._actuation_arrays().items()},
             "params": {name: getattr(self.params, name).copy() for name in PhysicalParams.names()},
             "control_steps": self._control_steps.copy(),
             "noise": self._noise.copy(),
@@ -264,10 +279,14 @@ class SimWorld:
             "headings": self._headings.copy(),
         }
 
+    def _actuation_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the arrays of the actuation by name, without those that this world does not use."""
+        return {name: array for name, array in self.actuation._asdict().items() if array.size}
+
     def set_state(self, state: dict[str, Any]) -> None:
         """Restore a state from `get_state`, to continue exactly from there."""
         self.set_params(np.arange(self.num_envs), PhysicalParams(**state["params"]))
-        for name, array in self.actuation._asdict().items():
+        for name, array in self._actuation_arrays().items():
             array[...] = state["actuation"][name]
         self.engine.set_state(np.arange(self.num_envs), state["engine"])
         self._control_steps[:] = state["control_steps"]

@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar
 
+from surefoot.adopt.specification import BASE_SPEED
 from surefoot.configuration import from_mapping
 from surefoot.errors import SurefootError, choices, nearest, quote
 
@@ -22,7 +23,6 @@ _UNMEASURED_PATTERNS = {
 """Reasons why robots can't provide an observation, by a pattern of its name."""
 _SPEED_PATTERN = r"vel|speed|twist"
 _MEASURED_SPEED_PATTERN = r"ang|gyro|joint|dof|motor|wheel|command|cmd|rate"
-_BASE_SPEED = "is the speed of the base, which no sensor of a robot measures"
 _MAX_LISTED_KEYS = 12
 """Maximum number of keys that a note names."""
 
@@ -33,7 +33,14 @@ def unmeasured_reason(name: object) -> str | None:
     for pattern, reason in _UNMEASURED_PATTERNS.items():
         if re.search(pattern, text):
             return reason
-    return _BASE_SPEED if re.search(_SPEED_PATTERN, text) and not re.search(_MEASURED_SPEED_PATTERN, text) else None
+    return BASE_SPEED if re.search(_SPEED_PATTERN, text) and not re.search(_MEASURED_SPEED_PATTERN, text) else None
+
+
+def unmeasured_remedy(reason: str) -> str:
+    """Return what a user can do about an observation that no robot provides, given the reason."""
+    if reason == BASE_SPEED:
+        return "as the term base_velocity of --from manual, --base-velocity estimate replaces it by an estimate"
+    return "such a policy can't be adopted"
 
 
 def unknown_term(name: object, known: Iterable[str]) -> SurefootError:
@@ -44,7 +51,7 @@ def unknown_term(name: object, known: Iterable[str]) -> SurefootError:
         known: names of supported observations.
     """
     if reason := unmeasured_reason(name):
-        return SurefootError(f"observation {quote(name)} {reason}; such a policy can't be adopted")
+        return SurefootError(f"observation {quote(name)} {reason}; {unmeasured_remedy(reason)}")
     return SurefootError(f"observation {quote(name)} is unknown; known are {choices(known)}")
 
 

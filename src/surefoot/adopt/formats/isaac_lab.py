@@ -11,6 +11,7 @@ from surefoot.adopt.specification import ObservationTerm, PerJoint, Range, TermN
 
 TERMS: dict[str, TermName] = {
     **dict.fromkeys(("base_ang_vel", "imu_ang_vel", "angular_velocity"), "angular_velocity"),
+    **dict.fromkeys(("base_lin_vel", "base_linear_velocity"), "base_velocity"),
     **dict.fromkeys(("projected_gravity", "gravity"), "gravity"),
     **dict.fromkeys(("command", "commands", "velocity_commands", "keyboard_velocity_commands"), "command"),
     **dict.fromkeys(("joint_pos", "joint_pos_rel"), "joint_positions"),

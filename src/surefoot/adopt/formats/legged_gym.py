@@ -55,6 +55,8 @@ _SECTIONS = (
 """Classes of legged_gym's configurations of environments and learners."""
 _NUM_INPUTS = 45
 """Width of an observation without base velocity: angular velocity, gravity, commands, joints and last action."""
+_NUM_WITH_VELOCITY = _NUM_INPUTS + 3
+"""Width of legged_gym's own observation, which begins with the base velocity."""
 
 
 def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) -> PolicySpecification:
@@ -81,16 +83,17 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
             raise SurefootError(f"control_type is {quote(values['control.control_type'])}; only P can be adopted")
         joints = _isaac_gym_order(robot)
         count = int(_number(values, "env.num_observations")) if "env.num_observations" in values else _NUM_INPUTS
-        if count != _NUM_INPUTS:
+        if count not in (_NUM_INPUTS, _NUM_WITH_VELOCITY):
             raise SurefootError(
-                f"num_observations is {count}; legged_gym's own {_NUM_INPUTS + 3} begin with the speed of the base, "
-                f"which no sensor measures. {_NUM_INPUTS} can be adopted: angular velocity, gravity, commands, joint "
-                "positions and speeds, last action; for any other observation, use --from manual"
+                f"num_observations is {count}; {_NUM_INPUTS} can be adopted: angular velocity, gravity, commands, "
+                f"joint positions and speeds, last action; and legged_gym's own {_NUM_WITH_VELOCITY}, which begin with "
+                "the speed of the base; for any other observation, use --from manual"
             )
         scales = {
             name: _number(values, f"normalization.obs_scales.{name}") for name in ("lin_vel", "ang_vel", "dof_pos")
         }
         limit = _number(values, "normalization.clip_actions")
+        velocity = (ObservationTerm("base_velocity", scale=scales["lin_vel"]),) * (count == _NUM_WITH_VELOCITY)
         forward, sideways, yaw_rate = (_pair(values, f"commands.ranges.{name}") for name in _RANGES)
         action_scale, hips = _action_scale(values, robot, joints)
         return PolicySpecification(
@@ -102,6 +105,7 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
             kd=tuple(_joint_value(values, "control.damping", joint) for joint in joints),
             control_step=_number(values, "sim.dt") * _number(values, "control.decimation"),
             observations=(
+                *velocity,
                 ObservationTerm("angular_velocity", scale=scales["ang_vel"]),
                 ObservationTerm("gravity"),
                 ObservationTerm("command", scale=(scales["lin_vel"], scales["lin_vel"], scales["ang_vel"])),
@@ -115,8 +119,8 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
             notes={
                 "joints": f"order of joints: Isaac Gym's is assumed, {', '.join(joints[:4])} and so on, which the "
                 "file does not say",
-                "observations": "observation: angular velocity, gravity, commands, joint positions and speeds, last "
-                "action is assumed; the file does not say it",
+                "observations": f"observation: {'base velocity, ' if velocity else ''}angular velocity, gravity, "
+                "commands, joint positions and speeds, last action is assumed; the file does not say it",
                 **hips,
                 **unread_note(_unread_keys(assigned)),
             },

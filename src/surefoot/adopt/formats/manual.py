@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 import yaml
 
-from surefoot.adopt.formats.common import unmeasured_reason
+from surefoot.adopt.formats.common import unmeasured_reason, unmeasured_remedy
 from surefoot.adopt.specification import PolicySpecification, TermName
 from surefoot.configuration import from_mapping, read_yaml, to_mapping
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote
@@ -32,7 +32,7 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
             name = term.get("term") if isinstance(term, Mapping) else None
             if isinstance(name, str) and name not in get_args(TermName) and (reason := unmeasured_reason(name)):
                 where = f"observations[{place}].term is {quote(name)}, which {reason}"
-                raise SurefootError(f"{where}; such a policy can't be adopted")
+                raise SurefootError(f"{where}; {unmeasured_remedy(reason)}")
         return from_mapping(PolicySpecification, {**table, **overrides})
 
 

@@ -23,6 +23,7 @@ from surefoot.robot import RobotDescription
 
 TERMS: dict[str, TermName] = {
     "commands": "command",
+    "lin_vel": "base_velocity",
     "gravity_vec": "gravity",
     "dof_pos": "joint_positions",
     "dof_vel": "joint_speeds",
@@ -33,7 +34,7 @@ TERMS: dict[str, TermName] = {
 _CLOCKS = {"phase": (4.0, 8.0, 16.0), "g1_phase": (0.8,)}
 """Periods [s] of clocks by the name of the observation."""
 _HARMLESS = (
-    *("model_name", "framework", "rows", "cols", "num_observations", "num_of_dofs", "torque_limits", "lin_vel_scale"),
+    *("model_name", "framework", "rows", "cols", "num_observations", "num_of_dofs", "torque_limits"),
     *("fixed_kp", "fixed_kd", "joint_names", "joint_controller_names", "command_mapping", "state_mapping"),
     *("action_scale_wheel", "stiffness", "damping"),
 )
@@ -59,6 +60,7 @@ class _Config:
     clip_obs: float | None = None
     clip_actions_lower: tuple[float, ...] = ()
     clip_actions_upper: tuple[float, ...] = ()
+    lin_vel_scale: float = 1.0
     ang_vel_scale: float = 1.0
     dof_pos_scale: float = 1.0
     dof_vel_scale: float = 1.0
@@ -245,6 +247,7 @@ def _terms(name: str, table: _Config, steps: tuple[int, ...]) -> list[Observatio
             "joint_positions": table.dof_pos_scale,
             "joint_speeds": table.dof_vel_scale,
             "angular_velocity": table.ang_vel_scale,
+            "base_velocity": table.lin_vel_scale,
         }
         term = TERMS[name]
         return [ObservationTerm(term, scale=scales.get(term, 1.0), steps=steps)]

@@ -52,6 +52,7 @@ def write_page(
         _tried(
             [
                 diagnosis.baseline,
+                *((diagnosis.with_true_velocity,) if diagnosis.with_true_velocity else ()),
                 *diagnosis.variants,
                 *(one for one in diagnosis.ranked[:_MAX_CHANGES] if one.score >= _MIN_SCORE),
             ],
