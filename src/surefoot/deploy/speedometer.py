@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 
 import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.messages import State
 from surefoot.deploy.safety import is_finite
-from surefoot.estimation.interface import MotionReadings, torque_lead
+from surefoot.estimation.interface import MotionReadings
 from surefoot.estimation.legged_odometry import LeggedOdometry
+from surefoot.estimation.torque_delay import TorqueDelay
 from surefoot.robot import RobotDescription
 
 SMOOTHING = 0.5
@@ -23,9 +23,7 @@ class Speedometer:
 
     def __init__(self, robot: RobotDescription, control_step: float, lead: float = 0.0) -> None:
         self._estimator, self._control_step = LeggedOdometry(robot), control_step
-        self._delay, self._time = torque_lead(robot, lead), 0.0
-        self._torques: deque[tuple[float, Array]] = deque()
-        """Times [s] and torques of the latest states, back to the time of the other readings."""
+        self._torque_delay = TorqueDelay(robot, lead)
         self.velocity: Array = np.zeros(2)
         """Mean speeds forward and to the left over the last stride or so (2,) [m/s]."""
         self.distance = 0.0
@@ -43,19 +41,8 @@ class Speedometer:
                 angular_velocity_base=state.angular_velocity_base[None],
                 motor_angle=state.motor_angle[None],
                 motor_velocity=state.motor_velocity[None],
-                motor_torque=self._delayed_torque(state.motor_torque, duration)[None],
+                motor_torque=self._torque_delay.update(state.motor_torque, duration)[None],
             )
         )
         self.velocity += (1.0 - math.exp(-duration / SMOOTHING)) * (estimate.velocity_base[0, :2] - self.velocity)
         self.distance += float(np.hypot(*self.velocity)) * duration
-
-    def _delayed_torque(self, torque: Array, duration: float) -> Array:
-        """Return the torque (M,) at the time of the other readings, `duration` [s] after the last state."""
-        self._time += duration
-        self._torques.append((self._time, torque))
-        at = self._time - self._delay
-        while len(self._torques) > 2 and self._torques[1][0] <= at:
-            self._torques.popleft()
-        (start, before), (end, after) = self._torques[0], self._torques[min(1, len(self._torques) - 1)]
-        part = min(max((at - start) / (end - start), 0.0), 1.0) if end > start else 0.0
-        return np.asarray(before + part * (after - before))

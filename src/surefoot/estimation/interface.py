@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from surefoot.arrays import Array
-from surefoot.robot import RobotDescription
 
 
 @dataclass(frozen=True)
@@ -24,7 +23,7 @@ class MotionReadings:
     motor_velocity: Array
     """Motor speeds (N, M) [rad/s]."""
     motor_torque: Array
-    """Motor torques (N, M) [N m], from the currents; see `torque_lead`."""
+    """Motor torques (N, M) [N m], from the currents; robots report them too early, see `torque_delay`."""
     accelerometer: Array | None = None
     """Specific force in the base frame (N, 3) [m/s^2]: (0, 0, g) at rest. None without an accelerometer."""
     expected_load: Array | None = None
@@ -44,15 +43,6 @@ class VelocityEstimate:
     """Height of the base's origin above the feet in contact (N,) [m]."""
     contact: Array
     """Probability that each foot stands on the ground without slipping (N, L)."""
-
-
-def torque_lead(robot: RobotDescription, lead: float = 0.0) -> float:
-    """Return by how much reported torques are newer than the other readings of a state [s].
-
-    Robots report torques of the last servo step, and angles and attitudes as old as their control latency, of which
-    `lead` [s] is the time between the state and the control step.
-    """
-    return max(float(robot.nominal_params()["control_latency"]) - lead, 0.0)
 
 
 class VelocityEstimator(Protocol):
