@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,12 +16,14 @@ from exact_resume import assert_resumes_exactly
 from surefoot.deploy.controller import Controller
 from surefoot.errors import SurefootError
 from surefoot.estimation.legged_odometry import LeggedOdometry
+from surefoot.policy.contract import Contract
 from surefoot.rotations import in_heading_frame
 from surefoot.task.base_velocity import motion_readings
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.contract_mapping import contract_from_task, task_from_contract
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
+from surefoot.task.pushes import PushConfig
 from surefoot.world.sim_world import SimWorld
 
 SLOW = (0.15, 0.0, 0.0)
@@ -40,17 +43,19 @@ def velocity_of(observation: np.ndarray) -> np.ndarray:
 
 def step(env: LocomotionEnv) -> np.ndarray:
     """Take a step of the reference gait without feedback; return the observation."""
-    return env.step(env.gait.action(np.zeros((env.num_envs, 12))))[0]
+    return env.step(env.gait.action(np.zeros((env.num_envs, len(env.gait.action_names)))))[0]
 
 
 def test_the_estimate_of_the_readings_is_observed(task):
     env = LocomotionEnv(task, 2, SimWorld, threads=1)
     estimator = LeggedOdometry(env.robot, 2)
     observation, _ = env.reset()
+    np.testing.assert_array_equal(velocity_of(observation), np.zeros((2, 3)))
+    estimator.start(np.arange(2), motion_readings(env.state.readings, env.state.duration))
     for _ in range(40):
+        observation = step(env)
         estimate = estimator.update(motion_readings(env.state.readings, env.state.duration))
         np.testing.assert_allclose(velocity_of(observation), estimate.velocity_base, atol=1e-6)
-        observation = step(env)
 
 
 def test_the_estimate_has_an_error_and_is_close_to_the_true_velocity(task):
@@ -113,36 +118,66 @@ def test_the_estimate_resumes_exactly(task):
     assert_resumes_exactly(env, [np.zeros((3, 12))] * 10)
 
 
+class Still:
+    """A policy without feedback."""
+
+    def __init__(self, contract: Contract) -> None:
+        self.contract = contract
+
+    def feedback(self, observation: np.ndarray) -> np.ndarray:
+        return np.zeros((1, len(self.contract.action_names)))
+
+
+def run_on_robot(env: LocomotionEnv, controller: Controller, lead: float, torque_of: str, steps: int) -> np.ndarray:
+    """Return the velocities (steps, 2, 3) that a robot and the simulation observe in the same episode.
+
+    Args:
+        env: one robot.
+        controller: the robot's.
+        lead: see `Controller.reset`.
+        torque_of: whether the robot sends torques as old as the other readings ("readings") or the newest ("truth").
+        steps: control steps.
+    """
+    observation, _ = env.reset()
+    controller.reset(lead)
+    has_commands, velocities = env.task.commands.enabled, []
+    for k in range(steps):
+        readings, time = env.state.readings, k * controller.contract.control_step
+        names = ("roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity")
+        torque = getattr(env.state, torque_of).motor_torque[0]
+        state = SimpleNamespace(**{name: getattr(readings, name)[0] for name in names}, motor_torque=torque)
+        if has_commands:
+            controller.set_command(env.state.command[0])
+        seen = controller.observe(time, state)
+        velocities.append([seen[0, :3].copy(), velocity_of(observation)[0].copy()])
+        controller.compute_target(time, seen)
+        observation = step(env)
+    return np.array(velocities)
+
+
 def test_the_robot_computes_the_same_observation(task):
     env = LocomotionEnv(task, 1, SimWorld, threads=1, autoreset=False)
     contract = contract_from_task(task, env.robot)
     assert contract.columns[:3] == ("base_velocity_x", "base_velocity_y", "base_velocity_z")
     assert task_from_contract(contract).needs_base_velocity
-
-    class Still:
-        """A policy without feedback."""
-
-        def __init__(self) -> None:
-            self.contract = contract
-
-        def feedback(self, observation: np.ndarray) -> np.ndarray:
-            return np.zeros((1, len(contract.action_names)))
-
-    from types import SimpleNamespace
-
-    controller = Controller(Still(), env.robot)
+    controller, latency = Controller(Still(contract), env.robot), env.robot.nominal_params()["control_latency"]
     for _ in range(2):  # a second episode forgets the first one
-        observation, _ = env.reset()
-        controller.reset()
-        for k in range(20):
-            readings = env.state.readings
-            names = ("roll_pitch_yaw", "angular_velocity_base", "motor_angle", "motor_velocity", "motor_torque")
-            state = SimpleNamespace(**{name: getattr(readings, name)[0] for name in names})
-            controller.set_command(env.state.command[0])
-            seen = controller.observe(k * contract.control_step, state)
-            np.testing.assert_allclose(seen[:, :3], velocity_of(observation), atol=1e-6)
-            controller.compute_target(k * contract.control_step, seen)
-            observation = step(env)
+        robot, simulation = run_on_robot(env, controller, latency, "readings", 20).swapaxes(0, 1)
+        np.testing.assert_allclose(robot, simulation, atol=1e-6)
+
+
+def test_the_newest_torques_of_a_robot_are_delayed_like_its_other_readings():
+    trot = load_task("trot")[0]
+    task = replace(
+        trot, observations=("base_velocity", *trot.observations), history=1, pushes=PushConfig(enabled=False)
+    )
+    env = LocomotionEnv(task, 1, SimWorld, threads=1, autoreset=False)
+    controller = Controller(Still(contract_from_task(task, env.robot)), env.robot)
+    errors = []
+    for lead in (0.0, env.robot.nominal_params()["control_latency"]):
+        robot, simulation = run_on_robot(env, controller, lead, "truth", 80).swapaxes(0, 1)
+        errors.append(np.sqrt(np.mean((robot - simulation)[20:] ** 2)))
+    assert errors[0] < 0.5 * errors[1]
 
 
 def test_a_task_without_the_observation_measures_no_torques():

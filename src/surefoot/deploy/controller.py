@@ -11,6 +11,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.messages import State
 from surefoot.deploy.safety import check_finite
 from surefoot.errors import SurefootError
+from surefoot.estimation.torque_delay import TorqueDelay
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import STAND_COMMAND
@@ -52,14 +53,22 @@ class Controller:
         self._history: NDArray[np.float32] | None = None
         self._source = _OperatorCommand(1)
         self._components: list[RobotComponent] = []
+        self._torque_delay: TorqueDelay | None = None
+        """Makes torques as old as the other readings, for policies that observe an estimated velocity."""
         if self.task.needs_base_velocity:
             self._components.append(BaseVelocity(robot, 1))
         if limits is not None:
             self._components += gait_components(self.gait, limits, self._source, 1)
         self._state: RobotState
 
-    def reset(self) -> None:
-        """Start a new episode with a zero velocity command."""
+    def reset(self, lead: float = 0.0) -> None:
+        """Start a new episode with a zero velocity command.
+
+        Args:
+            lead: time from the sending of a state to its control step [s].
+        """
+        if self.task.needs_base_velocity:
+            self._torque_delay = TorqueDelay(self.robot, lead)
         self.feedback = np.zeros_like(self.feedback)
         self._source.command[:] = STAND_COMMAND
         self._history = None
@@ -92,15 +101,18 @@ class Controller:
         Raises:
             NotFiniteError: a sensor reading is not finite.
         """
+        step, torque = self.contract.control_step * (missed + 1), state.motor_torque
+        if self._torque_delay is not None:
+            torque = self._torque_delay.update(torque, step)
         readings = SensorReadings(
             time=np.array([moment]),
             roll_pitch_yaw=state.roll_pitch_yaw[None],
             angular_velocity_base=state.angular_velocity_base[None],
             motor_angle=state.motor_angle[None],
             motor_velocity=state.motor_velocity[None],
-            motor_torque=state.motor_torque[None],
+            motor_torque=torque[None],
         )
-        duration = np.array([self.contract.control_step * (missed + 1)])
+        duration = np.array([step])
         if self._history is None:
             self._state = RobotState.initial(self.gait, readings, duration)
         now = self._state

@@ -215,7 +215,7 @@ class Deployment:
 
     def _run_policy(self, loop: ControlLoop, recorder: Recorder) -> Verdict:
         controller = self.controller
-        controller.reset()
+        controller.reset(self.link.lead)
         speedometer, shown = None, 0
         if self.monitor.shows_speed:
             speedometer = Speedometer(self.robot, self.contract.control_step, self.link.lead)

@@ -26,6 +26,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.estimation.interface import MotionReadings
@@ -90,6 +91,19 @@ class FootOdometry:
     def reset(self) -> None:
         """Forget the readings before."""
         self._before = None
+
+    def start(self, rows: NDArray[np.int64], readings: MotionReadings) -> None:
+        """Take the first readings of some robots (n,), which rest; all robots must start at first."""
+        others, self._before = self._before, None
+        self.update(readings)
+        if others is not None and self._before is not None:
+            for own, first in zip(others, self._before, strict=True):
+                own[rows] = first
+            self._before = others
+
+    def arrays(self) -> dict[str, Array]:
+        """Return the readings before, which an exact resume needs, by name; their first axis is the robots."""
+        return dict(zip(("feet", "motor_velocity", "angular_velocity", "sole"), self._before or (), strict=False))
 
     def update(self, readings: MotionReadings) -> FootObservations:
         """Return what the feet imply for the time since the readings before; of the first ones, that they rest."""

@@ -16,6 +16,7 @@ the root of its load.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from surefoot.arrays import Array
 from surefoot.estimation.foot_odometry import FootObservations, FootOdometry
@@ -46,6 +47,8 @@ START = 0.1
 """Standard deviation of the velocity at the start [sqrt(g l)]: robots stand."""
 HEIGHT_INFORMATION = 3.0
 """Information of the predicted height relative to the height over a standing foot: feet stand at different heights."""
+NO_INFORMATION = 1e-6
+"""The same at the start, where the height is unknown."""
 
 _EYE = np.eye(3)
 
@@ -75,7 +78,25 @@ class LeggedOdometry:
         self._velocity = np.zeros((self._num_envs, 1, 3))
         self._variance = np.full((self._num_envs, 1, 1), self._start_variance)
         self._height = np.zeros((self._num_envs, 1, 1))
-        self._height_information = 1e-6
+        self._height_information = np.full((self._num_envs, 1, 1), NO_INFORMATION)
+
+    def start(self, rows: NDArray[np.int64], readings: MotionReadings) -> None:
+        """Forget the readings of some robots, and take their first new ones, at which they stand still.
+
+        Args:
+            rows: indices of the robots (n,); all robots at first.
+            readings: readings of these robots.
+        """
+        self._odometry.start(rows, readings)
+        # A copy, because estimates share it.
+        self._velocity, self._height = self._velocity.copy(), self._height.copy()
+        self._velocity[rows], self._variance[rows] = 0.0, self._start_variance
+        self._height[rows], self._height_information[rows] = 0.0, NO_INFORMATION
+
+    def arrays(self) -> dict[str, Array]:
+        """Return the arrays that an exact resume needs, by name; their first axis is the robots."""
+        own = {name: getattr(self, f"_{name}") for name in ("velocity", "variance", "height", "height_information")}
+        return own | self._odometry.arrays()
 
     def update(self, readings: MotionReadings) -> VelocityEstimate:
         """Take the readings of a control step and return the estimate for their time."""
@@ -146,7 +167,7 @@ class LeggedOdometry:
         predicted = self._height + (self._velocity @ up[:, :, None]) * duration
         total = self._height_information + np.add.reduce(contact, axis=2, keepdims=True)
         self._height = (self._height_information * predicted - contact @ above) / total
-        self._height_information = HEIGHT_INFORMATION
+        self._height_information[:] = HEIGHT_INFORMATION
 
 
 def _known_load(load: Array, expected: Array | None) -> Array:
