@@ -154,13 +154,20 @@ def true_motion(trace: EpisodeTrace) -> Array:
     return in_heading_frame(velocity, (yaw[:-1] + yaw[1:]) / 2)
 
 
-def measure(name: str, world: str, episodes: int, seed: int, threads: int) -> dict[str, Any]:
-    """Return the errors in a case."""
+def record_runs(
+    name: str, world: str, episodes: int, seed: int, threads: int
+) -> tuple[list[EpisodeTrace], RobotDescription]:
+    """Return the runs of a case, on robots of table I, and the robot's description."""
     policy_name, terrain = CASES[name]
     policy, robot, task, _ = load_gait(find_policy(policy_name), None)
     ranges = load_ranges("table1", robot=robot.folder)
     run = Condition(randomize=ranges, duration=DURATION, terrain=terrain).apply(task, robot)
-    traces = run_episodes(policy, run, episodes, find_world(world), seed, threads, world_name=world)
+    return run_episodes(policy, run, episodes, find_world(world), seed, threads, world_name=world), robot
+
+
+def measure(name: str, world: str, episodes: int, seed: int, threads: int) -> dict[str, Any]:
+    """Return the errors in a case."""
+    traces, robot = record_runs(name, world, episodes, seed, threads)
     errors = EstimationErrors.from_runs(traces, estimate_motion(traces, robot))
     return {
         "case": name if world == "mujoco" else f"{name}/{world}",

@@ -79,9 +79,13 @@ def from_heading_frame(points: Array, yaw: Array) -> Array:
 
 
 def up_direction(roll_pitch_yaw: Array) -> Array:
-    """Return the unit vector away from the ground in the base frame (..., 3): (0, 0, 1) for a level base."""
-    sine, cosine, up = np.sin(roll_pitch_yaw), np.cos(roll_pitch_yaw), np.empty(roll_pitch_yaw.shape)
-    level = cosine[..., 1]
+    """Return the unit vector away from the ground in the base frame (..., 3): (0, 0, 1) for a level base.
+
+    Args:
+        roll_pitch_yaw: attitudes (..., 2) or (..., 3) [rad]; the yaw does not matter.
+    """
+    sine, cosine = np.sin(roll_pitch_yaw), np.cos(roll_pitch_yaw)
+    up, level = np.empty((*sine.shape[:-1], 3)), cosine[..., 1]
     up[..., 0], up[..., 1], up[..., 2] = -sine[..., 1], sine[..., 0] * level, cosine[..., 0] * level
     return up
 

@@ -135,19 +135,20 @@ def test_the_network_gets_the_estimate_in_its_scale_and_history(go2, specificati
     ]
     _, feedback, _ = run_controller(data, readings)
     observed = feedback[:, -30:]
-    estimator, expected = LeggedOdometry(go2), []
-    for one in readings:
-        estimate = estimator.update(
-            MotionReadings(
-                np.array([0.02]),
-                one.roll_pitch_yaw[None],
-                one.angular_velocity_base[None],
-                one.motor_angle[None],
-                one.motor_velocity[None],
-                np.zeros((1, 12)),
-            )
+    moments = [
+        MotionReadings(
+            np.array([0.02]),
+            one.roll_pitch_yaw[None],
+            one.angular_velocity_base[None],
+            one.motor_angle[None],
+            one.motor_velocity[None],
+            np.zeros((1, 12)),
         )
-        expected.append(2.0 * estimate.velocity_base[0])
+        for one in readings
+    ]
+    estimator, expected = LeggedOdometry(go2), [np.zeros(3)]
+    estimator.start(np.arange(1), moments[0])
+    expected += [2.0 * estimator.update(one).velocity_base[0] for one in moments[1:]]
     older = [expected[0], *expected[:-1]]
     assert np.abs(expected).max() > 0.1
     np.testing.assert_allclose(observed[:, 3:6], expected, atol=1e-5)
