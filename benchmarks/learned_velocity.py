@@ -95,7 +95,7 @@ def train(traces: Sequence[EpisodeTrace], seed: int) -> Network:
         for rows in torch.randperm(len(inputs)).split(BATCH)[: len(inputs) // BATCH]:
             loss = (network(inputs[rows]) - targets[rows]).square().mean()
             optimizer.zero_grad()
-            loss.backward()  # type: ignore[no-untyped-call]
+            loss.backward()
             optimizer.step()
             schedule.step()
     return network
