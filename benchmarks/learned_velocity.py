@@ -102,14 +102,14 @@ def train(traces: Sequence[EpisodeTrace], seed: int) -> Network:
 
 
 def predict(network: Network, traces: Sequence[EpisodeTrace]) -> list[EstimatedMotion]:
-    """Return the velocities that a network estimates; it states no variance, height or contacts."""
+    """Return the velocities that a network estimates; variance, height and contacts have no meaning."""
     motions = []
     for trace in traces:
         with torch.no_grad():
             velocity: Array = network(torch.from_numpy(inputs_of(trace))).numpy().astype(float)
         steps, legs = len(velocity), trace.foot_contact.shape[1]
         motions.append(
-            EstimatedMotion(trace.time, velocity, np.full((steps, 3), np.nan), np.zeros(steps), np.zeros((steps, legs)))
+            EstimatedMotion(trace.time, velocity, np.ones((steps, 3)), np.zeros(steps), np.zeros((steps, legs)))
         )
     return motions
 
