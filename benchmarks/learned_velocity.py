@@ -26,7 +26,7 @@ from torch import nn
 from velocity_estimation import CASES, RESULTS, EstimationErrors, record_runs, true_motion
 
 from surefoot.arrays import Array
-from surefoot.evaluation.estimated_motion import EstimatedMotion, estimate_motion
+from surefoot.evaluation.estimated_motion import EstimatedMotion, estimate_motion, run_readings, torque_delay
 from surefoot.robot import RobotDescription
 from surefoot.tables import write_csv
 from surefoot.task.trace import EpisodeTrace
@@ -69,23 +69,19 @@ class Network(nn.Module):
         return output
 
 
-def inputs_of(trace: EpisodeTrace) -> NDArray[np.float32]:
-    """Return the inputs of a run (T, I): the readings of the last `HISTORY` steps, torques as old as the others."""
-    delay = trace.meta["params"].get("control_latency", 0.0)
-    torque = np.stack([np.interp(trace.time - delay, trace.time, one) for one in trace.motor_torque.T], axis=-1)
-    columns = (
-        *(np.diff(trace.time, prepend=0.0)[:, None], trace.roll_pitch_yaw[:, :2], trace.angular_velocity_base),
-        *(trace.motor_angle, trace.motor_velocity, torque),
-    )
-    readings = np.concatenate(columns, axis=1).astype(np.float32)
+def inputs_of(trace: EpisodeTrace, robot: RobotDescription) -> NDArray[np.float32]:
+    """Return the inputs of a run (T, I): the readings of the last `HISTORY` steps, without the yaw."""
+    values = run_readings(trace, np.arange(trace.num_steps), torque_delay(trace, robot))
+    values |= {"duration": values["duration"][:, None], "roll_pitch_yaw": values["roll_pitch_yaw"][:, :2]}
+    readings = np.concatenate(list(values.values()), axis=1).astype(np.float32)
     padded = np.concatenate([np.repeat(readings[:1], HISTORY - 1, axis=0), readings])
     return np.concatenate([padded[HISTORY - 1 - k :][: len(readings)] for k in range(HISTORY)], axis=1)
 
 
-def train(traces: Sequence[EpisodeTrace], seed: int) -> Network:
+def train(traces: Sequence[EpisodeTrace], robot: RobotDescription, seed: int) -> Network:
     """Return a network trained on runs of a robot."""
     torch.manual_seed(seed)
-    inputs = torch.from_numpy(np.concatenate([inputs_of(trace) for trace in traces]))
+    inputs = torch.from_numpy(np.concatenate([inputs_of(trace, robot) for trace in traces]))
     targets = torch.from_numpy(np.concatenate([true_motion(trace) for trace in traces]).astype(np.float32))
     network = Network(inputs)
     optimizer = torch.optim.Adam(network.parameters(), RATE)
@@ -101,12 +97,12 @@ def train(traces: Sequence[EpisodeTrace], seed: int) -> Network:
     return network
 
 
-def predict(network: Network, traces: Sequence[EpisodeTrace]) -> list[EstimatedMotion]:
+def predict(network: Network, traces: Sequence[EpisodeTrace], robot: RobotDescription) -> list[EstimatedMotion]:
     """Return the velocities that a network estimates; variance, height and contacts have no meaning."""
     motions = []
     for trace in traces:
         with torch.no_grad():
-            velocity: Array = network(torch.from_numpy(inputs_of(trace))).numpy().astype(float)
+            velocity: Array = network(torch.from_numpy(inputs_of(trace, robot))).numpy().astype(float)
         steps, legs = len(velocity), trace.foot_contact.shape[1]
         motions.append(
             EstimatedMotion(trace.time, velocity, np.ones((steps, 3)), np.zeros(steps), np.zeros((steps, legs)))
@@ -116,21 +112,16 @@ def predict(network: Network, traces: Sequence[EpisodeTrace]) -> list[EstimatedM
 
 def main(command: Command) -> None:
     """Compare both in all cases of each robot."""
-    robots: dict[str, dict[str, list[EpisodeTrace]]] = {}
-    descriptions: dict[str, RobotDescription] = {}
+    robots: dict[str, tuple[RobotDescription, dict[str, list[EpisodeTrace]]]] = {}
     for name in CASES:
         traces, robot = record_runs(name, "mujoco", command.episodes, command.training_seed, command.threads)
-        robots.setdefault(robot.name, {})[name] = traces
-        descriptions[robot.name] = robot
+        robots.setdefault(robot.name, (robot, {}))[1][name] = traces
     rows: list[dict[str, Any]] = []
-    for robot_name, cases in robots.items():
-        network = train([trace for traces in cases.values() for trace in traces], command.seed)
+    for robot, cases in robots.values():
+        network = train([trace for traces in cases.values() for trace in traces], robot, command.seed)
         for name in cases:
             traces, _ = record_runs(name, "mujoco", command.episodes, command.seed, command.threads)
-            motions = {
-                "odometry": estimate_motion(traces, descriptions[robot_name]),
-                "network": predict(network, traces),
-            }
+            motions = {"odometry": estimate_motion(traces, robot), "network": predict(network, traces, robot)}
             for kind, motion in motions.items():
                 errors = EstimationErrors.from_runs(traces, motion)
                 forward, sideways, _ = errors.rmse.round(4).tolist()

@@ -169,7 +169,7 @@ def gaits(command: Command, folder: Path) -> list[RaibertTrot | PolicyGait]:
 
 
 def nominal_contract() -> Contract:
-    """Return a contract with the gains and delays of the data sheet, which are those of the authors' example."""
+    """Return a contract with the gains and delays of the data sheet, as in the authors' example."""
     task, _ = load_task("trot")
     return contract_from_task(task, RobotDescription.load(task.robot))
 

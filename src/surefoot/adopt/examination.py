@@ -62,7 +62,7 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class TrueVelocity:
-    """The true velocity of the base in place of its estimate, which shows what the estimate costs."""
+    """The policy observes the true velocity of the base instead of the estimate, to show the cost of the estimate."""
 
     text: str = "with the true speed of the base"
 

@@ -37,7 +37,7 @@ from surefoot.rotations import up_direction
 SHEAR_DAMPING = 0.5
 """Ratio of the damping of a sole along the ground to its damping normal to the ground, as in `world.contact`."""
 _CROSS = np.cross(np.eye(3), np.eye(3)[:, None]).reshape(3, 9)
-"""A vector b times this is a matrix (9,): a row a times the matrix (3, 3) is the cross product of a and b."""
+"""For a vector b, b @ _CROSS, reshaped to (3, 3), is the matrix B with a @ B = a x b for each vector a."""
 
 
 class FootObservations(NamedTuple):

@@ -171,5 +171,5 @@ class LeggedOdometry:
 
 
 def _known_load(load: Array, expected: Array | None) -> Array:
-    """Return loads (N, L), for unknown ones those of a reference gait; without one a foot stands as likely as not."""
+    """Return loads (N, L). Unknown loads follow a reference gait; without one, a foot stands as likely as not."""
     return np.where(np.isfinite(load), load, STANDING_LOAD if expected is None else expected * load.shape[1])

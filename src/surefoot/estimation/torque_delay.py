@@ -14,7 +14,7 @@ class TorqueDelay:
     """Delays the motor torques of one robot, state by state.
 
     Robots report torques of the last servo step, and angles and attitudes as old as their control latency. With torques
-    that are 10 ms too new, the estimated distance of a trot is 2 percent off, and that of a gallop 10 percent.
+    that are 10 ms too new, the estimated distance is 2 percent off in a trot, and 10 percent in a gallop.
 
     Args:
         robot: its data sheet has the control latency.

@@ -36,10 +36,6 @@ TORQUE_DELAYS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.035, 0.04)
 """Times that are tried by which readings of a robot are older than its torques [s]."""
 PATH_WINDOW = 0.5
 """Time between the places that a path connects [s]: about a stride."""
-TORQUE_DELAYS = (0.0, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.035, 0.04)
-"""Times that are tried by which readings of a robot are older than its torques [s]."""
-PATH_WINDOW = 0.5
-"""Time between the places that a path connects [s]: about a stride."""
 EstimatorFactory = Callable[[RobotDescription, int], VelocityEstimator]
 """Makes an estimator for a robot and a number of robots."""
 
@@ -88,7 +84,7 @@ def _estimate(
     traces: Sequence[EpisodeTrace], delays: Sequence[float], robot: RobotDescription, make: EstimatorFactory
 ) -> list[EstimatedMotion]:
     kept = [_kept_rows(trace) for trace in traces]
-    columns = [_readings(trace, rows, delay) for trace, rows, delay in zip(traces, kept, delays, strict=True)]
+    columns = [run_readings(trace, rows, delay) for trace, rows, delay in zip(traces, kept, delays, strict=True)]
     steps = max(map(len, kept))
     padded = {name: np.stack([_padded(one[name], steps) for one in columns], axis=1) for name in columns[0]}
     estimator, results = make(robot, len(traces)), []
@@ -119,7 +115,14 @@ def _kept_rows(trace: EpisodeTrace) -> NDArray[np.int64]:
     return rows[~np.isin(rows + 1, trace.meta.get("missed_steps", ()))]
 
 
-def _readings(trace: EpisodeTrace, rows: NDArray[np.int64], delay: float) -> dict[str, Array]:
+def run_readings(trace: EpisodeTrace, rows: NDArray[np.int64], delay: float) -> dict[str, Array]:
+    """Return the fields of `MotionReadings` of the chosen rows of a run, one row each.
+
+    Args:
+        trace: the run.
+        rows: indices of control steps (K,).
+        delay: see `torque_delay` [s].
+    """
     torque = np.stack([np.interp(trace.time - delay, trace.time, one) for one in trace.motor_torque.T], axis=-1)
     return {
         "duration": np.diff(trace.time[rows], prepend=0.0),
@@ -192,8 +195,8 @@ def estimate_intervals(traces: Sequence[EpisodeTrace], metrics: Mapping[str, Any
 
     Args:
         traces: the runs.
-        metrics: their means; those of `distance_mean`, `speed_mean`, `return_mean` and `gap` that are known get an
-            interval of the same name.
+        metrics: their means; `distance_mean`, `speed_mean`, `return_mean` and `gap` get an interval of the same name if
+            they are known.
     """
     errors = np.array([trace.meta.get("distance_error", np.nan) if is_estimated(trace) else 0.0 for trace in traces])
     width, speed_width = (NORMAL_95 * np.mean(values) for values in (errors, errors / [one.duration for one in traces]))
