@@ -65,7 +65,7 @@ class Robot:
     def __init__(self, *faults: str, rack: bool = False, engine: str = "mujoco", noise: bool = False) -> None:
         self.wire, self.controller = Wire(), OwnController()
         sensors = SensorConfig() if noise else SensorConfig.ideal()
-        plant = Plant(GO2, sensors=sensors, power=PowerConfig.ideal(), rack=rack, engine=engine)
+        plant = Plant(GO2, sensors=sensors, power=PowerConfig.ideal(), rack=rack, engine=engine, accelerometer=True)
         names = parse_faults(faults, motors=12, link="dds")
         self.board = Go2Board(plant, self.wire, 1.0, self.controller, faults=names)
 

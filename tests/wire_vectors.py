@@ -33,10 +33,12 @@ class Example(Packet):
     data: bytes
 
 
-def _examples() -> list[Example]:
-    dumps = [bytes.fromhex(" ".join(vector["bytes"])) for vector in VECTORS["frames"]]
-    frames = [frame for data in dumps for frame in Decoder(Codec(8)).feed(data)]
+def _examples(vectors: list[dict[str, Any]], codec: Codec) -> list[Example]:
+    dumps = [bytes.fromhex(" ".join(vector["bytes"])) for vector in vectors]
+    frames = [frame for data in dumps for frame in Decoder(codec).feed(data)]
     return [Example(frame.message, frame.sequence, frame.time, data) for frame, data in zip(frames, dumps, strict=True)]
 
 
-EXAMPLES = _examples()
+EXAMPLES = _examples(VECTORS["frames"], Codec(8))
+(WITH_ACCELEROMETER,) = _examples([VECTORS["with_accelerometer"]["frame"]], Codec(8, accelerometer=True))
+"""State of a board with an accelerometer."""

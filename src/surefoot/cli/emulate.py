@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import sys
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -65,6 +66,8 @@ class EmulateCommand:
     """Hold the base in the air."""
     ideal_sensors: bool = False
     """Disable quantization, noise and drift of encoders and IMU, and the voltage drop of the battery."""
+    accelerometer: bool = False
+    """Send the readings of an accelerometer over the serial link, as boards with one do; a Go2 always does."""
     terrain: Terrain = "flat"
     height_map: MapPort = None
     """UDP port of this computer to which the height map around the robot is sent, 50 times per second."""
@@ -143,13 +146,15 @@ def _check(command: EmulateCommand) -> None:
     if command.link == "dds":
         if not command.interface:
             raise SurefootError("link dds requires the network interface of the topics; give --interface, such as lo")
-        for option in ("lockstep", "symlink", "socket", "firmware"):
+        for option in ("lockstep", "symlink", "socket", "firmware", "accelerometer"):
             if getattr(command, option):
                 raise SurefootError(f"{option} applies to the serial link; it can't be combined with --link dds")
     elif command.interface or command.domain or command.motion_service != "released":
         raise SurefootError("interface, domain and motion_service apply to a DDS link; give --link dds as well")
     elif command.symlink is not None and command.socket is not None:
         raise SurefootError("symlink and socket can't be combined; a symbolic link refers to a pseudo-terminal")
+    if command.firmware is not None and command.accelerometer:
+        raise SurefootError("accelerometer can't be combined with --firmware; the firmware in C sends no accelerometer")
     if command.firmware is not None and any(
         word.startswith(("servo_kp", "servo_kd")) for group in command.settings for word in group
     ):
@@ -206,7 +211,10 @@ def make_plant(command: EmulateCommand, robot: RobotDescription, servo_every: in
     if command.ideal_sensors:
         sensors, power = SensorConfig.ideal(), PowerConfig.ideal(robot)
     params, ground = _params(command, robot), make_terrain(command.terrain, command.seed)
-    return Plant(robot, params, command.seed, sensors, power, command.rack, command.world, servo_every, ground)
+    accelerometer = command.accelerometer or command.link == "dds"
+    return Plant(
+        robot, params, command.seed, sensors, power, command.rack, command.world, servo_every, ground, accelerometer
+    )
 
 
 def make_loop(
@@ -219,10 +227,13 @@ def make_loop(
     from surefoot.emulator.serial.serial_host_link import SerialHostLink
 
     plant = make_plant(command, robot, servo_every=_servo_stride(robot, faults.get("slow-servo")))
+    line = partial(
+        SerialHostLink, port, robot.num_motors, faults, seed=command.seed, accelerometer=command.accelerometer
+    )
     if command.lockstep:
-        link = SerialHostLink(port, robot.num_motors, faults, seed=command.seed, patience=HOST_TIMEOUT)
+        link = line(patience=HOST_TIMEOUT)
         return LockstepLoop(_make_board(command, plant, link, faults), link, port, summary)
-    link = SerialHostLink(port, robot.num_motors, faults, command.baud, command.seed, lead=LEAD)
+    link = line(baud=command.baud, lead=LEAD)
     return RealTimeLoop(_make_board(command, plant, link, faults), summary, _load(faults))
 
 

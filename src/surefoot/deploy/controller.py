@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.deploy.messages import State
+from surefoot.deploy.readings import sensor_readings
 from surefoot.deploy.safety import check_finite
 from surefoot.errors import SurefootError
 from surefoot.estimation.torque_delay import TorqueDelay
@@ -22,7 +23,6 @@ from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.gait_components import gait_components
 from surefoot.task.observation import Observer
 from surefoot.task.state import RobotState
-from surefoot.world.interface import SensorReadings
 
 
 class _OperatorCommand(CommandGenerator):
@@ -104,15 +104,7 @@ class Controller:
         step, torque = self.contract.control_step * (missed + 1), state.motor_torque
         if self._torque_delay is not None:
             torque = self._torque_delay.update(torque, step)
-        readings = SensorReadings(
-            time=np.array([moment]),
-            roll_pitch_yaw=state.roll_pitch_yaw[None],
-            angular_velocity_base=state.angular_velocity_base[None],
-            motor_angle=state.motor_angle[None],
-            motor_velocity=state.motor_velocity[None],
-            motor_torque=torque[None],
-        )
-        duration = np.array([step])
+        readings, duration = sensor_readings(state, moment, torque), np.array([step])
         if self._history is None:
             self._state = RobotState.initial(self.gait, readings, duration)
         now = self._state

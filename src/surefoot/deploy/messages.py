@@ -62,9 +62,9 @@ class Message:
     """Base class of messages."""
 
 
-def quantity(unit: str, meaning: str) -> Any:
-    """Define a message field with its SI unit ("1": dimensionless, "": text) and meaning."""
-    return field(metadata={"unit": unit, "meaning": meaning})
+def quantity(unit: str, meaning: str, **options: Any) -> Any:
+    """Define a message field with its SI unit ("1": dimensionless, "": text) and meaning; options as for `field`."""
+    return field(metadata={"unit": unit, "meaning": meaning}, **options)
 
 
 @dataclass(frozen=True)
@@ -175,6 +175,9 @@ class State(Message):
     energy: float = quantity("J", "integral of |sum of torque times speed| since the session began")
     voltage: float = quantity("V", "battery voltage")
     temperature: Array = quantity("degC", "motor temperatures")
+    accelerometer: Array | None = quantity(
+        "m/s^2", "specific force in the base frame: (0, 0, g) at rest; only of boards that measure it", default=None
+    )
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,8 @@ class Recorder:
         columns["observation"][:], columns["feedback"][:], columns["target"][:] = observation, feedback, target
         if "command" in columns:
             columns["command"][:] = command
+        if "accelerometer" in columns:
+            columns["accelerometer"][:] = state.accelerometer
         if "height_map" in columns:
             columns["height_map"][:] = np.nan if heights is None else heights
         # If the energy counter has restarted, add nothing instead of a negative number.

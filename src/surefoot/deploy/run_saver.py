@@ -66,8 +66,13 @@ class RunSaver:
         )
         if contract.height_map is not None:
             meta["height_map"] = {"ahead": contract.height_map.ahead, "left": contract.height_map.left}
-        commands = contract.commands is not None
-        self._head = TraceHeader.of_robot(meta, len(contract.action_names), commands, robot.archive)
+        self._head = TraceHeader.of_robot(
+            meta,
+            len(contract.action_names),
+            robot.archive,
+            commands=contract.commands is not None,
+            accelerometer=self.link.state is not None and self.link.state.accelerometer is not None,
+        )
         self.recorder = Recorder(self._head.layout, contract.control_step, max_steps, self._keep)
         self._file: TraceFile | None = None
         self._stop_reported = False

@@ -102,7 +102,9 @@ def check_finite(what: str, names: Sequence[str], values: ArrayLike) -> None:
 
 def is_finite(state: State) -> bool:
     """Return whether all sensor readings of a state are finite."""
-    parts = (state.roll_pitch_yaw, state.angular_velocity_base, state.motor_angle, state.motor_velocity)
+    parts = [state.roll_pitch_yaw, state.angular_velocity_base, state.motor_angle, state.motor_velocity]
+    if state.accelerometer is not None:
+        parts.append(state.accelerometer)
     return math.isfinite(state.energy) and all(np.isfinite(part).all() for part in parts)
 
 

@@ -8,11 +8,12 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.deploy.messages import State
+from surefoot.deploy.readings import sensor_readings
 from surefoot.deploy.safety import is_finite
-from surefoot.estimation.interface import MotionReadings
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.estimation.torque_delay import TorqueDelay
 from surefoot.robot import RobotDescription
+from surefoot.task.base_velocity import motion_readings
 
 SMOOTHING = 0.5
 """Time constant [s] of the shown velocity: about a stride."""
@@ -23,7 +24,7 @@ class Speedometer:
 
     def __init__(self, robot: RobotDescription, control_step: float, lead: float = 0.0) -> None:
         self._estimator, self._control_step = LeggedOdometry(robot), control_step
-        self._torque_delay = TorqueDelay(robot, lead)
+        self._torque_delay, self._time = TorqueDelay(robot, lead), 0.0
         self.velocity: Array = np.zeros(2)
         """Mean speeds forward and to the left over the last stride or so (2,) [m/s]."""
         self.distance = 0.0
@@ -34,15 +35,8 @@ class Speedometer:
         if not is_finite(state):
             return
         duration = steps * self._control_step
-        estimate = self._estimator.update(
-            MotionReadings(
-                duration=np.array([duration]),
-                roll_pitch_yaw=state.roll_pitch_yaw[None],
-                angular_velocity_base=state.angular_velocity_base[None],
-                motor_angle=state.motor_angle[None],
-                motor_velocity=state.motor_velocity[None],
-                motor_torque=self._torque_delay.update(state.motor_torque, duration)[None],
-            )
-        )
+        self._time += duration
+        readings = sensor_readings(state, self._time, self._torque_delay.update(state.motor_torque, duration))
+        estimate = self._estimator.update(motion_readings(readings, np.array([duration])))
         self.velocity += (1.0 - math.exp(-duration / SMOOTHING)) * (estimate.velocity_base[0, :2] - self.velocity)
         self.distance += float(np.hypot(*self.velocity)) * duration

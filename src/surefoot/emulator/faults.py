@@ -145,7 +145,13 @@ class FaultInjector:
             angles, rates = seen.roll_pitch_yaw.copy(), seen.angular_velocity_base.copy()
             for array in (angles, rates):
                 array[:2] = array[[1, 0]] if fault.value == 0 else array[:2] * _IMU_SIGNS[int(fault.value)]
-            seen = replace(seen, roll_pitch_yaw=angles, angular_velocity_base=rates)
+            force = seen.accelerometer
+            if force is not None:
+                # Consistent with the angles: it is g (-sin pitch, sin roll cos pitch, ...) at rest.
+                x, y, z = force.tolist()
+                rolls, pitches = _IMU_SIGNS.get(int(fault.value), (1, 1))
+                force = np.array([-y, -x, z] if fault.value == 0 else [pitches * x, rolls * y, z])
+            seen = replace(seen, roll_pitch_yaw=angles, angular_velocity_base=rates, accelerometer=force)
         return seen
 
     def packet(self, packet: Packet) -> Packet:

@@ -11,6 +11,7 @@ from surefoot.actuator.motor import joint_torque, servo_duty
 from surefoot.arrays import Array
 from surefoot.deploy.board.signals import MotorCommand, Sensors, Vitals
 from surefoot.deploy.messages import Mode
+from surefoot.emulator.accelerometer import Accelerometer
 from surefoot.emulator.hardware import PowerConfig, SensorConfig, power_tick
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -61,6 +62,7 @@ class Plant:
         engine: name of the physics engine in the registry of worlds.
         servo_every: number of physics steps per servo step.
         ground: ground on which the robot sits.
+        accelerometer: whether its IMU reports the specific force.
 
     Raises:
         SurefootError: invalid parameters, or a robot that does not come to rest in the sitting pose.
@@ -77,6 +79,7 @@ class Plant:
         engine: str = DEFAULT_WORLD,
         servo_every: int = 1,
         ground: Ground = FLAT,
+        accelerometer: bool = False,
     ) -> None:
         self.robot, self.params = robot, params or PhysicalParams.nominal(robot)
         self.sensors, self.power = sensors or SensorConfig(), power or PowerConfig.from_robot(robot)
@@ -102,6 +105,11 @@ class Plant:
         self._torques: deque[Array] = deque(maxlen=max(steps, 1))
         """Torques of the last servo steps, for a microcontroller with its own servos."""
         self._contact = np.zeros(len(robot.legs))
+        self._accelerometer: Accelerometer | None = None
+        if accelerometer:
+            gravity, noise = self.world.engine.gravity, self.sensors.accelerometer_noise
+            self._accelerometer = Accelerometer(robot, self.params, gravity, noise, seed)
+            self._accelerometer.measure(self.world.engine.base()[0])
         self._command: MotorCommand | JointCommand
         self._apply(MotorCommand(Mode.DISARMED, np.zeros(motors)))
         # Load compiled code before the first step; the physics was already run by the world.
@@ -150,6 +158,8 @@ class Plant:
             raise SurefootError(f"the physics of the emulated robot diverged after {self.ticks} servo steps")
         self.energy += float(actuation.energy[0])
         self._contact += actuation.contact_ticks[0]
+        if self._accelerometer is not None:
+            self._accelerometer.measure(world.engine.base()[0], count)
         self._draw_power(self.temperature, count)
 
     def _apply(self, command: MotorCommand | JointCommand) -> None:
@@ -259,6 +269,7 @@ class Plant:
             energy=self.energy,
             voltage=self.voltage,
             temperature=self.temperature.copy(),
+            accelerometer=self._accelerometer.read(latency) if self._accelerometer is not None else None,
         )
 
     def capture(self) -> CaptureSample:

@@ -96,8 +96,9 @@ class EpisodeRecorder:
     def __init__(self, env: LocomotionEnv, pushed: bool) -> None:
         self.env, self._pushed, self._started = env, pushed, env.state.readings.time.copy()
         sizes = trace_sizes(0, env.state.feedback.shape, self._meta(0))
-        # Traces of a simulation need no height map: they name the terrain.
-        self.layout = row_layout(tuple(name for name in columns_of(EpisodeTrace) if name != "height_map"), sizes)
+        # Traces of a simulation need no height map, because they name the terrain, and have no accelerometer.
+        names = tuple(name for name in columns_of(EpisodeTrace) if name not in ("accelerometer", "height_map"))
+        self.layout = row_layout(names, sizes)
         self.rows: list[Array] = []
         """One array (N, width) per control step."""
         self._start = {name: values.copy() for name, values in self._base().items()}

@@ -54,18 +54,21 @@ class TraceHeader:
     """Archive of the robot's folder, see `EpisodeTrace`."""
 
     @classmethod
-    def of_robot(cls, meta: dict[str, Any], actions: int, commands: bool, robot_archive: bytes) -> TraceHeader:
+    def of_robot(
+        cls, meta: dict[str, Any], actions: int, robot_archive: bytes, commands: bool, accelerometer: bool = False
+    ) -> TraceHeader:
         """Return the header of a robot's trace.
 
         Args:
             meta: meta of the trace.
             actions: number of feedback columns.
-            commands: whether the robot follows commands.
             robot_archive: archive of the robot's folder.
+            commands: whether the robot follows commands.
+            accelerometer: whether the robot has an accelerometer.
         """
-        names = list(MEASURED_COLUMNS)
-        names += (["command"] if commands else []) + (["height_map"] if meta.get("height_map") else [])
-        return cls(row_layout(tuple(names), trace_sizes(0, (actions,), meta)), meta, robot_archive=robot_archive)
+        optional = {"command": commands, "accelerometer": accelerometer, "height_map": bool(meta.get("height_map"))}
+        names = (*MEASURED_COLUMNS, *(name for name, exists in optional.items() if exists))
+        return cls(row_layout(names, trace_sizes(0, (actions,), meta)), meta, robot_archive=robot_archive)
 
     def line(self) -> bytes:
         """Return the first line of a partial file."""

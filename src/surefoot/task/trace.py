@@ -186,6 +186,7 @@ class EpisodeTrace:
         is_fraction=True,
     )
     motor_heat: Array = _optional_column("T, M", "J", "energy that the motor's windings turned into heat")
+    accelerometer: Array = _optional_column("T, 3", "m/s^2", "specific force that the IMU measured, delayed", "base")
     height_map: Array = _optional_column(
         "T, K", "m", "terrain heights relative to the base's origin, at the points of meta's height_map", "heading"
     )

@@ -8,7 +8,7 @@ import re
 import struct
 
 import pytest
-from wire_vectors import EXAMPLES, TEXT, VECTORS, part
+from wire_vectors import EXAMPLES, TEXT, VECTORS, WITH_ACCELEROMETER, part
 
 from surefoot.deploy.messages import Mode, Position, Reason, SessionMessage, State
 from surefoot.deploy.serial.codec import HEADER, MESSAGES, NUMBERS, VERSION, Codec, encodings
@@ -43,6 +43,16 @@ def test_every_mode_and_reason_is_in_the_tables(name: str, numbers: type[Mode | 
     assert rows(part(name)) == [[str(int(one)), one.name, one.meaning] for one in numbers]
 
 
+def test_the_field_of_a_board_with_an_accelerometer_is_in_its_table():
+    name, spec = list(encodings(State, accelerometer=True).items())[-1]
+    section, codec = part("Boards with an accelerometer"), Codec(8, accelerometer=True)
+    offset = Codec(8).size(State)
+    assert rows(section) == [[str(offset), f"`{name}`", f"{spec.kind} × {spec.count}", spec.unit, "", spec.meaning]]
+    assert f"{codec.size(State)} bytes" in section
+    assert f"`0x{codec.schema:08X}`" in section
+    assert f"`{name} {spec.kind} {spec.count} 0 0 {spec.unit}`" in section
+
+
 # Statements for authors of firmware.
 
 
@@ -68,11 +78,14 @@ def test_the_schema_hash_agrees_with_the_text_in_the_vectors():
 
 def test_the_vectors_are_frames_with_their_values():
     assert [type(example.message) for example in EXAMPLES] == list(MESSAGES)
-    for vector, example in zip(VECTORS["frames"], EXAMPLES, strict=True):
+    with_accelerometer = VECTORS["with_accelerometer"]
+    assert with_accelerometer["schema"] == f"0x{Codec(8, accelerometer=True).schema:08X}"
+    vectors = [*VECTORS["frames"], with_accelerometer["frame"]]
+    for vector, example in zip(vectors, [*EXAMPLES, WITH_ACCELEROMETER], strict=True):
         kind = type(example.message)
         stated = (vector["message"], vector["type"], vector["number"], vector["time"])
         assert stated == (kind.__name__, NUMBERS[kind], example.sequence, example.time)
-        assert list(vector["values"]) == list(encodings(kind))
+        assert list(vector["values"]) == list(encodings(kind, example is WITH_ACCELEROMETER))
         for name, value in vector["values"].items():
             actual = getattr(example.message, name)
             assert value == (list(actual) if isinstance(value, list) else actual), name

@@ -4,16 +4,23 @@ from __future__ import annotations
 
 import contextlib
 import os
+import threading
 import time
 import tty
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from surefoot.deploy.board.firmware import Firmware
+from surefoot.deploy.board.host_frames import HostFrames
+from surefoot.deploy.board.limits import Limits, make_handshake
+from surefoot.deploy.board.signals import Sensors
 from surefoot.deploy.clock import LockstepClock, MonotonicClock
+from surefoot.deploy.links import open_link
 from surefoot.deploy.messages import Handshake, Hello, Ping, Pong, Position, State
-from surefoot.deploy.robot_link import LinkLostError
+from surefoot.deploy.robot_link import LinkLostError, RobotLink
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.deploy.serial.port import SerialPort
@@ -131,6 +138,77 @@ def test_a_second_program_is_rejected(pty):
 def test_a_port_that_does_not_exist_is_an_error(tmp_path):
     with pytest.raises(SurefootError, match="can't be opened: No such file"):
         SerialPort(str(tmp_path / "nothing"))
+
+
+# Boards with and without an accelerometer.
+
+FORCE = [0.5, -0.25, 9.75]
+
+
+@pytest.fixture
+def start_board(pty, robot) -> Iterator[Callable[[bool], None]]:
+    """Start a board of 8 motors at the pseudo-terminal, with or without an accelerometer, in real time."""
+    master, _ = pty
+    ends, zeros = threading.Event(), np.zeros(8)
+    threads = []
+
+    def run(accelerometer: bool) -> None:
+        frames, limits = HostFrames(8, accelerometer), Limits.from_robot(robot)
+        firmware = Firmware(make_handshake(robot, limits, "test", 0.001), limits)
+        # A board without one does not send the reading even if it were there.
+        seen = Sensors(zeros, zeros, zeros, zeros[:3], zeros[:3], 0.0, 16.0, zeros, np.array(FORCE))
+        while not ends.wait(0.001):
+            now = time.monotonic_ns() // 1000
+            with contextlib.suppress(OSError):  # no data, no host, or a host that does not read
+                frames.receive(now, os.read(master, 4096), firmware)
+            firmware.report(now, lambda: seen)
+            for packet in firmware.take():
+                with contextlib.suppress(OSError):
+                    os.write(master, frames.encode(packet))
+
+    def start(accelerometer: bool) -> None:
+        threads.append(threading.Thread(target=run, args=(accelerometer,)))
+        threads[0].start()
+
+    yield start
+    ends.set()
+    for thread in threads:
+        thread.join()
+
+
+@pytest.mark.parametrize("accelerometer", [False, True])
+def test_a_host_uses_boards_with_and_without_an_accelerometer(pty, start_board, accelerometer):
+    start_board(accelerometer)
+    link = open_link(pty[1], 8)
+    for _ in range(2):  # a session is also continued
+        assert link.connect().robot == "minitaur"
+    assert link.wait_for(lambda: link.state is not None, 10.0)
+    force = link.last_state().accelerometer
+    assert force.tolist() == FORCE if accelerometer else force is None
+    assert link.statistics.foreign == 0
+    assert link.protocol_error() is None
+    link.close()
+
+
+def test_a_host_that_knows_no_accelerometer_rejects_a_board_with_one(pty, start_board):
+    start_board(True)
+    link = open_link(pty[1], 8)
+    new, old = Codec(8, accelerometer=True).schema, CODEC.schema
+    with pytest.raises(
+        SurefootError, match=rf"version 1 and schema {new:#010x} .* schema {old:#010x} \(for 8 motors\)"
+    ):
+        RobotLink.connect(link)  # `SerialLink.connect` tries the other schema
+    link.close()
+
+
+def test_a_board_with_other_motors_is_rejected_also_if_it_has_an_accelerometer(pty, start_board):
+    start_board(True)
+    link = open_link(pty[1], 12)
+    with pytest.raises(
+        SurefootError, match=rf"schema {Codec(8, accelerometer=True).schema:#010x} .* \(for 12 motors\)"
+    ):
+        link.connect()
+    link.close()
 
 
 def test_await_pong_waits_for_the_pong_and_keeps_other_packets(toy):

@@ -100,7 +100,7 @@ def test_the_vendors_stand_up_raises_the_body_and_it_stays_when_commands_stop(en
 
 def test_the_battery_agrees_with_a_recorded_robot() -> None:
     # 8 cells of 3.83 V at 63 %.
-    plant = Plant(GO2)
+    plant = Plant(GO2, accelerometer=True)
     plant.start_voltage, wire = 8 * 3.83, Wire()
     Go2Board(plant, wire, 0.0).run_to(4_000)
     assert wire.state["bms_state"]["soc"] == 63

@@ -9,11 +9,11 @@ from surefoot.deploy.serial.frames import Decoder, encode_frame
 
 
 class HostFrames:
-    """Decoder and encoder of a robot's frames."""
+    """Decoder and encoder of a robot's frames, for a number of motors and with or without an accelerometer."""
 
-    def __init__(self, motors: int) -> None:
+    def __init__(self, motors: int, accelerometer: bool = False) -> None:
         # A robot needs no text from a host, so it need not support UTF-8.
-        self.codec = Codec(motors, text_errors="replace")
+        self.codec = Codec(motors, accelerometer, text_errors="replace")
         self.restart()
 
     def restart(self) -> None:

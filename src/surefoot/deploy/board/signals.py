@@ -42,6 +42,7 @@ class Sensors:
     energy: float
     voltage: float
     temperature: Array
+    accelerometer: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,8 @@ from surefoot.robot import RobotDescription
 FIRST_TORQUE = 5.0
 """Maximum torque that the first command after arming may request [N m]."""
 FIRMWARE = "surefoot supervisor"
+CODEC = Codec(len(MOTOR_NAMES), accelerometer=True)
+"""Encodes the messages between control loop and supervisor."""
 _SUPERVISOR, _WATCHDOG = "surefoot.deploy.dds.supervisor", "surefoot.deploy.dds.watchdog"
 _EXIT_TIMEOUT = 5.0
 """Time for the supervisor to damp the motors and exit [s]."""
@@ -115,7 +117,7 @@ class DdsLink(SerialLink):
         self.children = [Child(_WATCHDOG, config, [watchdog]), Child(_SUPERVISOR, config, [host, supervisor])]
         for end in (host, supervisor, watchdog):
             end.close()
-        super().__init__(SocketPort(here, "the supervisor process"), Codec(len(MOTOR_NAMES)), MonotonicClock(), session)
+        super().__init__(SocketPort(here, "the supervisor process"), CODEC, MonotonicClock(), session)
         self.preliminary_checks = list(checks)
         self._config, self._hand_back = config, hand_back
         try:

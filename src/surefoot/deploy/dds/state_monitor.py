@@ -64,7 +64,8 @@ def _reader(codes: Mapping[int, str]) -> struct.Struct:
 _MOTOR = {"mode": "B", "q": "f", "dq": "f", "tau_est": "f", "temperature": "B", "lost": "I"}
 _MOTOR_PLACES = {at: code for m in range(MOTORS) for at, code in _offsets("motor_state", _MOTOR, m).items()}
 _OTHERS = {int(_FIELDS[name][1]): code for name, code in (("tick", "I"), ("wireless_remote", "40s"), ("power_v", "f"))}
-_STATE = _reader(_offsets("imu_state", {"quaternion": "4f", "gyroscope": "3f"}) | _MOTOR_PLACES | _OTHERS)
+_IMU_PLACES = _offsets("imu_state", {"quaternion": "4f", "gyroscope": "3f", "accelerometer": "3f"})
+_STATE = _reader(_IMU_PLACES | _MOTOR_PLACES | _OTHERS)
 """Fields read from each state. For so few numbers, a struct is three times as fast as numpy arrays."""
 _CELLS = _reader(_offsets("bms_state", {"cell_vol": "15H"}))
 
@@ -85,7 +86,7 @@ class StateMonitor:
         """Tick of the latest state [ms]."""
         none: tuple[float, ...] = (0.0,) * MOTORS
         self._angle = self._velocity = self._torque = none
-        self._roll_pitch_yaw, self._rate = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+        self._roll_pitch_yaw = self._rate = self._force = (0.0, 0.0, 0.0)
         self._temperature, self._lost = (0,) * MOTORS, (0,) * MOTORS
         self._new_at, self._polls, self._lost_since = -math.inf, 0, -math.inf
         self._repeats = self._bad = 0
@@ -112,7 +113,7 @@ class StateMonitor:
 
     def _read(self, now: int, state: bytes) -> None:
         numbers = _STATE.unpack_from(state)
-        motors, (tick, remote, power) = numbers[7:-3], numbers[-3:]
+        motors, (tick, remote, power) = numbers[10:-3], numbers[-3:]
         if self.tick is not None:
             rise = (tick - self.tick + 2**31) % 2**32 - 2**31
             if -TICK_RESTART < rise <= 0:
@@ -126,7 +127,7 @@ class StateMonitor:
         mode, self._angle, self._velocity, self._torque, self._temperature, lost = (
             motors[k :: len(_MOTOR)] for k in range(len(_MOTOR))
         )
-        self._rate = numbers[4:7]
+        self._rate, self._force = numbers[4:7], numbers[7:10]
         if self.received % _BATTERY_STATES == 1:
             self.voltage = battery_voltage(_CELLS.unpack_from(state), power)
         length = math.hypot(*numbers[:4])
@@ -201,6 +202,7 @@ class StateMonitor:
             self.energy,
             self.voltage,
             np.array(self._temperature, float),
+            np.array(self._force),
         )
 
 

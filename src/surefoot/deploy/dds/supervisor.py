@@ -81,7 +81,7 @@ class Supervisor:
         self.firmware = Firmware(config.handshake, config.limits)
         self.states = StateMonitor()
         self._gains = config.handshake.servo_kp, config.handshake.servo_kd
-        self._host, self._frames = host, HostFrames(MOTORS)
+        self._host, self._frames = host, HostFrames(MOTORS, accelerometer=True)
         self._watchdog, self._unanswered = watchdog, 0
         self._watchdog_text = ""
         self._state_reader = bus.reader(LOW_STATE_TOPIC, types.LowState, 4)

@@ -30,19 +30,21 @@ _TYPES = {
 }
 
 
-def c_header(motors: int = DEFAULT_MOTORS) -> str:
-    """Return the header for robots with `motors` motors.
+def c_header(motors: int = DEFAULT_MOTORS, accelerometer: bool = False) -> str:
+    """Return the header for robots with `motors` motors, with or without an accelerometer.
 
     Raises:
         SurefootError: no motors, or more than fit into a frame.
     """
-    codec = Codec(motors)
+    codec = Codec(motors, accelerometer)
     largest = max(MESSAGES, key=codec.size)
     types = [(_c_name(kind).upper(), NUMBERS[kind], "") for kind in MESSAGES]
     enums = [_enum("surefoot_type", "Type of a payload.", types), *map(_described_enum, (Mode, Reason))]
     sizes = [("float", 4), ("surefoot_header", HEADER.size), *((_c_name(kind), codec.size(kind)) for kind in MESSAGES)]
     return Template(_TEMPLATE.read_text(encoding="utf-8")).substitute(
         version=VERSION,
+        robots=f"{motors} motors{' and an accelerometer' * accelerometer}",
+        options=f"--motors {motors}{' --accelerometer' * accelerometer}",
         motors=motors,
         schema=f"{codec.schema:08X}",
         max_frame=MAX_FRAME,
@@ -103,10 +105,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     summary = (__doc__ or "").splitlines()[0]
     parser = argparse.ArgumentParser(prog="python -m surefoot.deploy.serial.c_header", description=summary)
     parser.add_argument("--motors", type=int, default=DEFAULT_MOTORS, help="number of motors")
+    parser.add_argument("--accelerometer", action="store_true", help="states have the reading of an accelerometer")
     parser.add_argument("--out", type=Path, help="file to write; defaults to standard output")
     options = parser.parse_args(argv)
     try:
-        text = c_header(options.motors)
+        text = c_header(options.motors, options.accelerometer)
         if options.out is None:
             print(text, end="")
         else:

@@ -20,6 +20,8 @@ HEADER = struct.Struct("<BBIIQ")
 """Version, type, schema hash, sequence number, time [us]."""
 MAX_PAYLOAD = 997
 """Maximum size of a message in a frame [bytes]; see `frames.MAX_FRAME`."""
+ACCELEROMETER = "accelerometer"
+"""Field of a state that only boards with an accelerometer send; their schema differs in this field."""
 _U8, _U16, _U32, _F32 = FieldEncoding("u8"), FieldEncoding("u16"), FieldEncoding("u32"), FieldEncoding("f32")
 _TIME = FieldEncoding("u32", scale=1e-6)
 _MOTORS, _VECTOR = FieldEncoding("f32", MOTORS), FieldEncoding("f32", 3)
@@ -74,6 +76,7 @@ SCHEMA: dict[type[Message], tuple[int, dict[str, FieldEncoding]]] = {
             "energy": _F32,
             "voltage": FieldEncoding("u16", scale=1e-3),
             "temperature": FieldEncoding("u8", MOTORS, scale=1.0),
+            ACCELEROMETER: _VECTOR,
         },
     ),
     messages.Fault: (68, {"session": _U16, "reason": _U8, "text": FieldEncoding("text", length=80, cut=True)}),
@@ -83,10 +86,19 @@ MESSAGES = tuple(SCHEMA)
 NUMBERS = {kind: number for kind, (number, _) in SCHEMA.items()}
 
 
-def encodings(kind: type[Message]) -> dict[str, FieldEncoding]:
-    """Return the encoding of each field of a message type, with its unit and meaning."""
+def encodings(kind: type[Message], accelerometer: bool = False) -> dict[str, FieldEncoding]:
+    """Return the encoding of each field of a message type, with its unit and meaning.
+
+    Args:
+        kind: message type.
+        accelerometer: whether the board has an accelerometer.
+    """
     _, encodings = SCHEMA[kind]
-    return {item.name: replace(encodings[item.name], **item.metadata) for item in fields(kind)}  # type: ignore[arg-type]
+    return {
+        item.name: replace(encodings[item.name], **item.metadata)  # type: ignore[arg-type]
+        for item in fields(kind)
+        if accelerometer or item.name != ACCELEROMETER
+    }
 
 
 class Codec:
@@ -94,16 +106,17 @@ class Codec:
 
     Args:
         motors: number of motors.
+        accelerometer: whether states have the reading of an accelerometer.
         text_errors: error handler for texts that are not UTF-8; with "strict" their message counts as unknown.
 
     Raises:
         SurefootError: no motors, or more than fit into a frame.
     """
 
-    def __init__(self, motors: int, text_errors: str = "strict") -> None:
-        self.motors, self._text_errors = motors, text_errors
+    def __init__(self, motors: int, accelerometer: bool = False, text_errors: str = "strict") -> None:
+        self.motors, self.accelerometer, self._text_errors = motors, accelerometer, text_errors
         self.kinds = {number: kind for kind, number in NUMBERS.items()}
-        self.layouts = {kind: MessageLayout(kind, encodings(kind), max(motors, 1)) for kind in MESSAGES}
+        self.layouts = {kind: MessageLayout(kind, encodings(kind, accelerometer), max(motors, 1)) for kind in MESSAGES}
         largest = max(map(self.size, MESSAGES))
         if motors < 1 or largest > MAX_PAYLOAD:
             raise SurefootError(f"motors is {motors}; it must be 1 or more, and messages at most {MAX_PAYLOAD} bytes")

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from surefoot.deploy.clock import Clock, LockstepClock
 from surefoot.deploy.messages import Bye, Handshake, Hello, Message, Packet, Ping, Pong, Position, Pwm
-from surefoot.deploy.robot_link import ReceivedPacket, RobotLink
+from surefoot.deploy.robot_link import STATE_PERIOD, ReceivedPacket, RobotLink
 from surefoot.deploy.serial.codec import VERSION, Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.errors import SurefootError
@@ -43,6 +43,9 @@ class Port(Protocol):
 class SerialLink(RobotLink):
     """Link over a byte stream. Frames with repeated or decreasing sequence numbers are dropped and counted.
 
+    `codec` is for boards with or without an accelerometer; if the robot turns out to be of the other kind, `connect`
+    changes it.
+
     In lockstep, frames are received only while time advances. Otherwise it would depend on chance whether an answer is
     received immediately or one step later. A command is sent together with the ping that advances the time, so that the
     other end wakes up only once.
@@ -66,6 +69,19 @@ class SerialLink(RobotLink):
     def next_number(self) -> int:
         """Sequence number of the next frame."""
         return self._sequence + 1
+
+    def connect(self, timeout: float = 2.0, state_period: float = STATE_PERIOD) -> Handshake:
+        """Start or continue a session, see `RobotLink.connect`, with a board with or without an accelerometer."""
+        try:
+            return super().connect(timeout, state_period)
+        except SurefootError:
+            other = Codec(self.codec.motors, not self.codec.accelerometer)
+            if self.decoder.foreign != (VERSION, other.schema):
+                raise
+        # Frames of the other schema are no fault of the link.
+        self.codec = self.decoder.codec = other
+        self.decoder.foreign, self.statistics.foreign = None, 0
+        return super().connect(timeout, state_period)
 
     def send(self, message: Message) -> bytes:
         """Send a message; return its frame."""
@@ -123,6 +139,8 @@ class SerialLink(RobotLink):
     def await_pong(self, timeouts: Sequence[float] = _PING_TIMEOUTS) -> bool:
         """Send a ping, wait for its pong, and return whether it arrived. Other packets are kept for `receive`.
 
+        A robot that has answered with another protocol before its handshake sends no pong.
+
         The ping is repeated after each of the `timeouts` [s] but the last. A repetition is the same frame with the same
         sequence number, so sequence numbers do not depend on the robot's response time.
         """
@@ -140,6 +158,8 @@ class SerialLink(RobotLink):
                     message = arrival.packet.message
                     if isinstance(message, Pong) and message.token == token:
                         return True
+                if self.handshake is None and self.decoder.foreign is not None:
+                    return False
         return False
 
     def _follow(self) -> None:

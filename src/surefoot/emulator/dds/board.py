@@ -45,7 +45,7 @@ class Go2Board:
     step follows one of them at random, since the order of arrival is undefined.
 
     Args:
-        plant: simulated body; its motors start without torque.
+        plant: simulated body with an accelerometer; its motors start without torque.
         link: topics of states and commands.
         lead: time from the sending of a state to its use by a deployment, see `Plant.read` [s].
         controller: the robot's own controller.
@@ -102,7 +102,6 @@ class Go2Board:
         faults, injector = self._faults, self._injector
         self.plant.step(faults.joint_command(self._joint_command) if faults.enabled else self._joint_command)
         self.now = now = self.plant.ticks * self._step
-        self._message.accelerometer.measure()
         if faults.enabled:
             injector.tick(now, self._commanded)
             self._apply_faults(now)

@@ -89,11 +89,6 @@ class MessageFaults:
     def change(self, message: StateMessage, now: int) -> None:
         """Apply faults to the fields of a state message."""
         injector, record, motors = self._injector, message.record, message.motors
-        force = record["imu_state"]["accelerometer"]
-        if fault := injector.active_fault("imu-flip"):
-            # Consistent with the angles and rates: specific force is g (-sin pitch, sin roll cos pitch, ...).
-            x, y = force[:2].tolist()
-            force[:2] = {0: (-y, -x), 1: (x, -y), 2: (-x, y), 3: (-x, -y)}[int(fault.value)]
         if (motor := self._motor("motor-off")) is not None:
             motors["mode"][motor] = 0
             motors["lost"][motor] += 1

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections import deque
-
 import numpy as np
 
-from surefoot.arrays import Array
 from surefoot.deploy.board.signals import Sensors
 from surefoot.deploy.dds.low_level import HEAD, LOW_STATE, SERVO, Record, new_record
 from surefoot.emulator.plant import Plant
-from surefoot.rotations import quat_matrix, rpy_matrix, rpy_quat
+from surefoot.rotations import rpy_quat
 from surefoot.seeding import generator
 
 CELLS = 8
@@ -24,50 +21,17 @@ _LOST_RANGE = 5, 13
 """Range of the initial counts of lost messages per motor; a recorded robot had 5 to 12."""
 
 
-class Accelerometer:
-    """Simulates the specific force of the base link, R^T (a - g), from the velocities of consecutive servo steps.
-
-    Args:
-        plant: simulated body of the robot.
-        latency: age of readings, rounded to servo steps [s].
-        seed: seed of the noise.
-    """
-
-    def __init__(self, plant: Plant, latency: float, seed: int) -> None:
-        self._plant, self._noise = plant, plant.sensors.accelerometer_noise
-        self._random = generator(seed, "emulated accelerometer")
-        self._step = plant.robot.timing.servo_step
-        self._gravity = np.array([0.0, 0.0, plant.world.engine.gravity])
-        self._mount = rpy_matrix(*plant.params.imu_mount[0]).T
-        self._velocity = np.zeros(3)
-        self._forces: deque[Array] = deque(maxlen=round(latency / self._step) + 1)
-        self.measure()
-
-    def measure(self) -> None:
-        """Sample the force at the end of a servo step."""
-        base = self._plant.world.engine.base()[0]
-        acceleration, self._velocity = (base[7:] - self._velocity) / self._step, base[7:]
-        self._forces.append(self._mount @ quat_matrix(base[3:7]).T @ (acceleration + self._gravity))
-
-    def read(self) -> Array:
-        """Return the reading (3,) [m/s2]."""
-        force = self._forces[0]
-        return force + self._noise * self._random.standard_normal(3) if self._noise else force
-
-
 class StateMessage:
     """State message of a robot, reused for each state.
 
     Args:
-        plant: simulated body of the robot.
+        plant: simulated body of the robot, with an accelerometer.
         lead: time from the sending of a state to its use by a deployment, see `Plant.read` [s].
         seed: seed of the noise and of the initial counts of lost messages.
     """
 
     def __init__(self, plant: Plant, lead: float, seed: int = 0) -> None:
         self._plant, robot, motors = plant, plant.robot, plant.robot.num_motors
-        latency = max(float(plant.params.control_latency[0]) - lead, 0.0)
-        self.accelerometer = Accelerometer(plant, latency, seed)
         self._radius = np.array([robot.urdf.links[leg.foot].collisions[0].size[0] for leg in robot.legs])
         self._stiffness = float(plant.params.contact_stiffness[0])
         self.record = record = new_record(LOW_STATE)
@@ -88,7 +52,7 @@ class StateMessage:
         plant, record, imu, motors, bms = self._plant, self.record, self._imu, self.motors, self._bms
         attitude = sensors.roll_pitch_yaw.tolist()
         imu["quaternion"], imu["rpy"] = rpy_quat(*attitude), attitude
-        imu["gyroscope"], imu["accelerometer"] = sensors.angular_velocity_base, self.accelerometer.read()
+        imu["gyroscope"], imu["accelerometer"] = sensors.angular_velocity_base, sensors.accelerometer
         motors["q"], motors["dq"], motors["tau_est"] = sensors.motor_angle, sensors.motor_velocity, sensors.motor_torque
         motors["temperature"] = np.clip(sensors.temperature, 0, 255)
         # The contact is a spring: force = stiffness * penetration [N]. Foot forces of a real robot have no unit.

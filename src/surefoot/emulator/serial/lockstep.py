@@ -41,7 +41,8 @@ class LockstepLoop:
 
     def __init__(self, board: EmulatedBoard, link: SerialHostLink, port: HostPort, summary: Summary) -> None:
         self.board, self._link, self._port, self._summary = board, link, port, summary
-        self._decoder = Decoder(Codec(link.frames.codec.motors))
+        codec = link.frames.codec
+        self._decoder = Decoder(Codec(codec.motors, codec.accelerometer))
         self._anonymous: int | None = None
         self._offsets: dict[int, int] = {}
 

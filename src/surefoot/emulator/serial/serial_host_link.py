@@ -28,6 +28,7 @@ class SerialHostLink:
         seed: seed of the random faults.
         patience: maximum time to wait for a host to read [s].
         lead: time from the sending of a state to its use by a deployment [s]; 0 in lockstep.
+        accelerometer: whether states have the reading of an accelerometer.
     """
 
     def __init__(
@@ -39,10 +40,11 @@ class SerialHostLink:
         seed: int = 0,
         patience: float = 0.0,
         lead: float = 0.0,
+        accelerometer: bool = False,
     ) -> None:
         faults = faults or {}
         self.port, self.lead, self._patience = port, lead, patience
-        self.frames = HostFrames(motors)
+        self.frames = HostFrames(motors, accelerometer)
         if "other-schema" in faults:
             self.frames.codec.schema ^= 0xFFFF
         batch = faults["batching"].value if "batching" in faults else 0.0
