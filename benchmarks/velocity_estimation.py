@@ -4,11 +4,15 @@
     python benchmarks/velocity_estimation.py --world bullet --cases go2-steer --episodes 32
     python benchmarks/velocity_estimation.py --cost
     python benchmarks/velocity_estimation.py --emulated 10
+    python benchmarks/velocity_estimation.py --accelerometer 6 --cases go2-steer trot-robust
 
 Every episode draws its robot from table I, with delays and noise of its sensors, as `surefoot evaluate --randomize
 table1` does, and its commands. The estimator gets what the robot's computer gets: delayed and noisy readings. Errors
 are those of `EstimationErrors`. Rows go to results/estimation/velocity.csv; rows of the same case are replaced. The
 constants of the estimator were chosen on runs with seed 100.
+
+With --accelerometer, robots of table I are emulated, and their runs are estimated with and without the samples of their
+accelerometers; rows go to results/estimation/accelerometer.csv.
 """
 
 from __future__ import annotations
@@ -27,16 +31,19 @@ from typing import Any
 
 import numpy as np
 import tyro
+from emulated import deploy
 
 from surefoot.api.policies import find_policy, load_gait
 from surefoot.arrays import Array
-from surefoot.estimation.interface import MotionReadings
+from surefoot.estimation.interface import MotionReadings, VelocityEstimate
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.evaluation.conditions import Condition
 from surefoot.evaluation.estimated_motion import EstimatedMotion, estimate_intervals, estimate_motion, with_motion
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.robot import RobotDescription
-from surefoot.robot.randomization import load_ranges
+from surefoot.robot.commands import COMMANDS
+from surefoot.robot.params_file import write_params
+from surefoot.robot.randomization import draw_hidden, load_ranges
 from surefoot.rotations import in_heading_frame, quat_yaw
 from surefoot.tables import write_csv
 from surefoot.task.trace import EpisodeTrace
@@ -57,6 +64,9 @@ UNSEEN = ("base_position_world", "base_quat_world", "foot_contact", "foot_positi
 """Columns that only motion capture measures."""
 DURATION = 10.0
 """Length of an episode [s]."""
+VELOCITIES = ((0.5, 0.0, 0.0), (0.8, 0.0, 0.3), (0.3, 0.2, 0.0), (0.6, -0.2, -0.3), (0.2, 0.0, 0.6), (-0.3, 0.1, 0.0))
+"""Velocity commands of emulated robots with an accelerometer: forward and sideways [m/s], yaw rate [rad/s]. Each robot
+follows four of them for a quarter of its run, and begins with the next one."""
 STEPS = 2000
 """Updates whose times are measured."""
 WINDOW = 0.5
@@ -76,6 +86,8 @@ class Command:
     """Measure the time of an update of one robot only."""
     emulated: int = 0
     """Number of emulated robots, whose returns are estimated and measured instead of simulations."""
+    accelerometer: int = 0
+    """Number of emulated robots of each case that are estimated with and without their accelerometers instead."""
     out: Path = RESULTS
 
 
@@ -248,6 +260,78 @@ def compare_returns(robots: int) -> dict[str, Any]:
     }
 
 
+class AcceleratedOdometry:
+    """Legged odometry that also gets the samples of the accelerometers in runs (N,) without missed steps."""
+
+    def __init__(self, traces: Sequence[EpisodeTrace], robot: RobotDescription) -> None:
+        self._odometry, self._traces, self._step = LeggedOdometry(robot, len(traces)), traces, 0
+
+    def reset(self) -> None:
+        """Begin again."""
+        self._odometry.reset()
+        self._step = 0
+
+    def update(self, readings: MotionReadings) -> VelocityEstimate:
+        """Return the estimate of the next control step; ended runs repeat their last sample."""
+        force = np.array([trace.accelerometer[min(self._step, trace.num_steps - 1)] for trace in self._traces])
+        self._step += 1
+        return self._odometry.update(replace(readings, accelerometer=force))
+
+
+def record_accelerometers(name: str, robots: int) -> tuple[list[EpisodeTrace], RobotDescription]:
+    """Return runs of a case on emulated robots of table I that have an accelerometer, and the robot's description."""
+    policy_name, terrain = CASES[name]
+    policy, robot, *_ = load_gait(find_policy(policy_name), None)
+    ranges, traces = load_ranges("table1", robot=robot.folder), []
+    with tempfile.TemporaryDirectory() as folder:
+        for seed in range(100, 100 + robots):
+            params, file, commands = (
+                draw_hidden(robot, ranges, seed),
+                Path(folder, f"{seed}.toml"),
+                Path(folder, "c.csv"),
+            )
+            write_params(file, robot, params)
+            words: list[object] = ["--duration", DURATION]
+            if policy.contract.commands is not None:
+                rows = [(k * DURATION / 4, *VELOCITIES[(seed + k) % len(VELOCITIES)]) for k in range(4)]
+                write_csv(commands, [dict(zip(("time", *COMMANDS), row, strict=True)) for row in rows])
+                words += ["--commands", commands]
+            emulated = (
+                "--robot",
+                robot.name,
+                "--params",
+                file,
+                "--accelerometer",
+                "--terrain",
+                terrain,
+                "--seed",
+                seed,
+            )
+            (trace,) = deploy(policy_name, *words, robot=emulated)
+            known = {"control_latency": float(params.control_latency[0])}
+            traces.append(replace(trace, meta={**trace.meta, "params": known}))
+            print(f"{name}: robot {seed}, {trace.num_steps} steps, {trace.meta['ended']}", file=sys.stderr, flush=True)
+    return traces, robot
+
+
+def compare_accelerometer(name: str, robots: int) -> list[dict[str, Any]]:
+    """Return the errors in a case without and with accelerometers."""
+    traces, robot = record_accelerometers(name, robots)
+    rows, makers = [], {"no": LeggedOdometry, "yes": lambda kind, _: AcceleratedOdometry(traces, kind)}
+    for used, make in makers.items():
+        errors = EstimationErrors.from_runs(traces, estimate_motion(traces, robot, make))
+        rows.append(
+            {
+                "case": name,
+                "accelerometer": used,
+                "robots": robots,
+                **dict(zip(("rmse_forward", "rmse_sideways", "rmse_up"), errors.rmse.round(4).tolist(), strict=True)),
+                "distance_rmse": round(errors.distance_rmse, 4),
+            }
+        )
+    return rows
+
+
 def load() -> float:
     """Return the number of processes that use processors, mean of the last minute: others make updates slower."""
     return os.getloadavg()[0]
@@ -265,18 +349,22 @@ def main(command: Command) -> None:
         print(*(f"{name} {value}" for name, value in row.items()), sep=", ")
         write_csv(command.out / "emulated.csv", [row])
         return
-    path = command.out / "velocity.csv"
-    table: dict[str, dict[str, Any]] = {}
+    path = command.out / ("accelerometer.csv" if command.accelerometer else "velocity.csv")
+    table: list[dict[str, Any]] = []
     if path.is_file():
         with path.open(newline="", encoding="utf-8") as file:
-            table = {row["case"]: row for row in csv.DictReader(file)}
+            table = list(csv.DictReader(file))
     for name in command.cases:
         if name not in CASES:
             raise SystemExit(f"--cases {name} is no case; choose from {', '.join(CASES)}")
-        row = measure(name, command.world, command.episodes, command.seed, command.threads)
-        table[row["case"]] = row
-        print(*row.values(), flush=True)
-        write_csv(path, sorted(table.values(), key=_place))
+        if command.accelerometer:
+            rows = compare_accelerometer(name, command.accelerometer)
+        else:
+            rows = [measure(name, command.world, command.episodes, command.seed, command.threads)]
+        table = [row for row in table if row["case"] != rows[0]["case"]] + rows
+        for row in rows:
+            print(*row.values(), flush=True)
+        write_csv(path, sorted(table, key=_place))
 
 
 def _place(row: Mapping[str, Any]) -> tuple[bool, int]:

@@ -32,7 +32,7 @@ META = {
     "observation_names": ["x", "y", "z"],
     "ended": "time",
 }
-HEAD = TraceHeader.of_robot(META, actions=8, commands=False, robot_archive=b"")
+HEAD = TraceHeader.of_robot(META, actions=8, robot_archive=b"", commands=False)
 LAYOUT = HEAD.layout
 
 
@@ -66,6 +66,21 @@ def test_a_row_has_values_of_its_start_and_the_state_at_its_end(recorded):
     assert columns["feedback"][:, -1].tolist() == [0.0, 20.0, 40.0]
     assert columns["target"][:, -1].tolist() == [0.0, 30.0, 60.0]
     assert columns["energy"].tolist() == [1.0, 3.0, 5.0]
+
+
+def test_the_accelerometer_of_a_robot_that_has_one_is_in_its_trace(a_state):
+    assert "accelerometer" not in LAYOUT.widths
+    head = TraceHeader.of_robot(META, 8, b"", commands=False, accelerometer=True)
+    recorder = Recorder(head.layout, STEP, 10)
+    forces = [np.array([0.1 * k, -0.2, 9.8]) for k in range(3)]
+    recorder.begin(a_state, 100.0)
+    for k, force in enumerate(forces):
+        recorder.complete_rows(k, replace(a_state, accelerometer=force))
+        recorder.start_row(*opened(k))
+    # A reading that is not finite is left out like all others: the next row is that of a missed step.
+    recorder.complete_rows(3, replace(a_state, accelerometer=np.array([0.0, np.nan, 0.0])))
+    assert recorder.steps == 2
+    np.testing.assert_array_equal(head.trace(recorder.rows, {}).accelerometer, forces[1:])
 
 
 def test_missed_steps_repeat_the_target_that_servos_held(recorded):

@@ -69,9 +69,10 @@ def test_a_normal_step_continues(guard, judge):
         ({"motor_angle": np.full(8, np.inf)}, Act.DAMP, "not finite"),
         *(
             ({name: np.array([0.0, np.nan])}, Act.DAMP, "not finite")
-            for name in ("motor_velocity", "angular_velocity_base")
+            for name in ("motor_velocity", "angular_velocity_base", "accelerometer")
         ),
         ({"energy": float("inf")}, Act.DAMP, "not finite"),
+        ({"accelerometer": np.array([0.0, 0.0, 9.81])}, Act.GO, ""),
         ({"temperature": np.full(8, 80.0)}, Act.GO, ""),
         ({"temperature": np.array([30.0] * 7 + [81.0])}, Act.SIT, "temperature"),
         ({"stops": 1}, Act.SIT, "operator"),

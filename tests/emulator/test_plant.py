@@ -152,6 +152,44 @@ def test_torques_have_noise_and_a_constant_error_of_each_motor(robot):
     assert len(np.unique(gains[0])) == 8
 
 
+def test_an_accelerometer_measures_the_specific_force_in_the_base_frame(robot):
+    assert ideal(robot).read(0.0, 0.0).accelerometer is None
+    # At rest it is gravity, in the frame of an IMU that is mounted with a roll of 0.2 rad.
+    leaning = PhysicalParams.nominal(robot).with_values(robot, imu_mount=[[0.2, 0.0, 0.0]])
+    plant = ideal(robot, params=leaning, accelerometer=True)
+    for _ in range(500):
+        plant.step(DAMPED)
+    rest = 9.81 * np.array([0.0, np.sin(0.2), np.cos(0.2)])
+    np.testing.assert_allclose(plant.read(0.0, 0.0).accelerometer, rest, atol=0.05)
+
+
+def test_the_accelerometer_is_the_change_of_the_velocity_and_as_old_as_the_other_readings(robot):
+    params = PhysicalParams.nominal(robot).with_values(robot, control_latency=0.02)
+    plant = ideal(robot, params=params, accelerometer=True)
+    speeds, seen = [], []
+    for step in range(60):
+        plant.push(np.array([40.0 * (step >= 30), 0.0, robot.weight + 60.0 * (step >= 30)]))
+        plant.step(DAMPED)
+        speeds.append(plant.world.truth().base_velocity_world[0].copy())
+        seen.append((plant.read(0.0, 0.0).accelerometer, plant.read(0.0, 0.005).accelerometer))
+    force = np.diff(speeds, axis=0) * 1000.0 + [0.0, 0.0, 9.81]
+    assert np.linalg.norm(force[40] - force[20]) > 10.0
+    old, younger = np.swapaxes(seen, 0, 1)
+    # It is turned with the base, which hardly turns here.
+    np.testing.assert_allclose(old[21:], force[:-20], atol=0.5)
+    np.testing.assert_array_equal(younger[21:45], old[36:])
+
+
+def test_the_noise_of_the_accelerometer_changes_no_other_reading(robot):
+    plant, without = (Plant(robot, rack=True, accelerometer=one) for one in (True, False))
+    read, noise = [plant.read(0.0, 0.0) for _ in range(4000)], SensorConfig().accelerometer_noise
+    force = np.array([seen.accelerometer for seen in read])
+    np.testing.assert_allclose(force.std(0), noise, rtol=0.1)
+    np.testing.assert_allclose(force.mean(0), [0.0, 0.0, 9.81], atol=5 * noise / np.sqrt(4000))
+    for name, value in vars(without.read(0.0, 0.0)).items():
+        assert name == "accelerometer" or np.array_equal(getattr(read[0], name), value), name
+
+
 def test_the_error_of_torques_changes_no_other_reading(robot):
     exact = replace(SensorConfig(), torque_noise=0.0, torque_gain=0.0)
     plant, truth = Plant(robot, seed=3), Plant(robot, seed=3, sensors=exact)

@@ -15,9 +15,12 @@ pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
 from surefoot.deploy.board.signals import MotorCommand
+from surefoot.deploy.links import open_link
 from surefoot.deploy.messages import Arm, Fault, Handshake, Hello, Mode, Ping, Pong, Position, Reason, State
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.emulator.hardware import PowerConfig, SensorConfig
 from surefoot.emulator.plant import Plant
+from surefoot.errors import SurefootError
 from surefoot.world.actuation import set_actuation_params
 from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
@@ -113,6 +116,26 @@ def test_the_emulator_reports_when_it_cannot_keep_real_time(capsys):
     lines = capsys.readouterr().err.splitlines()
     assert "behind real time (it used " in lines[0]
     assert "slipped 0 times" not in lines[-1]
+
+
+@pytest.mark.parametrize("clock", [["--lockstep"], ["--baud", "0"]])
+def test_a_board_with_an_accelerometer_sends_its_readings_to_hosts_that_know_it(emulate_here, clock):
+    emulator = emulate_here("--accelerometer", "--rack", "--ideal-sensors", *clock)
+    link = open_link(emulator.port, 8, lockstep="--lockstep" in clock)
+    with pytest.raises(SurefootError, match=r"schema 0xb3aaea90 .* schema 0x160c5d1c \(for 8 motors\)"):
+        RobotLink.connect(link)  # as hosts do that do not know it
+    assert link.connect(10.0).robot == "minitaur"
+    assert link.wait_for(lambda: link.state is not None, 10.0)
+    np.testing.assert_allclose(link.last_state().accelerometer, [0.0, 0.0, 9.81], atol=1e-6)
+    assert link.wait_for(lambda: link.states > 3, 10.0)
+    link.close()
+
+
+def test_options_that_exclude_an_accelerometer(capsys):
+    assert main(["emulate", "--accelerometer", "--firmware", "board"]) == 2
+    assert "can't be combined with --firmware; the firmware in C sends no accelerometer" in capsys.readouterr().err
+    assert main(["emulate", "--accelerometer", "--robot", "go2", "--link", "dds", "--interface", "lo"]) == 2
+    assert "accelerometer applies to the serial link; it can't be combined with --link dds" in capsys.readouterr().err
 
 
 def test_in_lockstep_time_follows_the_frames(emulate_here):

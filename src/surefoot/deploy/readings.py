@@ -10,7 +10,7 @@ from surefoot.world.interface import SensorReadings
 
 
 def sensor_readings(state: State, time: float, motor_torque: Array) -> SensorReadings:
-    """Return the readings of a state, as a batch of one.
+    """Return the readings of a state, as a batch of one, without the accelerometer: a simulation has none.
 
     Args:
         state: state of the robot.
@@ -24,5 +24,4 @@ def sensor_readings(state: State, time: float, motor_torque: Array) -> SensorRea
         motor_angle=state.motor_angle[None],
         motor_velocity=state.motor_velocity[None],
         motor_torque=motor_torque[None],
-        accelerometer=None if state.accelerometer is None else state.accelerometer[None],
     )

@@ -71,7 +71,6 @@ def motion_readings(readings: SensorReadings, duration: Array, rows: Any = slice
     """
     if readings.motor_torque is None:
         raise SurefootError("observation 'base_velocity' needs motor torques among the readings; this world has none")
-    force = readings.accelerometer
     return MotionReadings(
         duration=duration[rows],
         roll_pitch_yaw=readings.roll_pitch_yaw[rows],
@@ -79,5 +78,4 @@ def motion_readings(readings: SensorReadings, duration: Array, rows: Any = slice
         motor_angle=readings.motor_angle[rows],
         motor_velocity=readings.motor_velocity[rows],
         motor_torque=readings.motor_torque[rows],
-        accelerometer=None if force is None else force[rows],
     )

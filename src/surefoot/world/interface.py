@@ -38,8 +38,6 @@ class SensorReadings:
     motor_torque: Array | None = None
     """Motor torques from the currents, without friction (N, M) [N m]. Robots always measure them; a simulation does if
     its configuration asks for them (`WorldConfig.torque_readings`), and is None otherwise."""
-    accelerometer: Array | None = None
-    """Specific force in the base frame (N, 3) [m/s^2]: (0, 0, g) at rest. Only of robots with an accelerometer."""
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,7 @@ def test_readings_of_a_recorded_state(bench: Bench) -> None:
     np.testing.assert_allclose(sensors.motor_torque, [m["tau_est"] for m in motors[:12]], rtol=1e-6)
     np.testing.assert_allclose(sensors.roll_pitch_yaw, RECORDED["imu_state"]["rpy"], atol=1e-5)
     np.testing.assert_allclose(sensors.angular_velocity_base, RECORDED["imu_state"]["gyroscope"], rtol=1e-6)
+    np.testing.assert_allclose(sensors.accelerometer, RECORDED["imu_state"]["accelerometer"], rtol=1e-6)
     assert sensors.voltage == pytest.approx(30.668)  # eight cells; power_v is 29.5 V at the end of a cable
     assert vitals.temperature == 78
     power = abs(sum(m["tau_est"] * m["dq"] for m in motors[:12]))

@@ -14,13 +14,12 @@ import pytest
 
 from surefoot.deploy.dds import low_level, supervisor
 from surefoot.deploy.dds.bus import LOW_COMMAND_TOPIC, LOW_STATE_TOPIC, SPORT_STATE_TOPIC
-from surefoot.deploy.dds.dds_link import FIRST_TORQUE, make_config
+from surefoot.deploy.dds.dds_link import CODEC, FIRST_TORQUE, make_config
 from surefoot.deploy.dds.socket_port import SocketPort
 from surefoot.deploy.dds.state_monitor import MOTORS, STATE_TIMEOUT
 from surefoot.deploy.dds.supervisor import DAMPING_TIME, PERIOD, WATCHDOG_SILENCE, Supervisor
 from surefoot.deploy.messages import Arm, Fault, Hello, Message, Mode, Ping, Position, Reason, State
 from surefoot.deploy.robot_link import LinkLostError
-from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder, encode_frame
 from surefoot.robot import RobotDescription
 
@@ -88,7 +87,7 @@ class Bench:
         self._random = np.random.default_rng(0)
         (here, loop), (watch, beats) = socket.socketpair(), socket.socketpair()
         self.loop, self.watchdog = SocketPort(here, "the supervisor"), SocketPort(watch, "the supervisor")
-        self._codec, self._number = Codec(MOTORS), 0
+        self._codec, self._number = CODEC, 0
         self._decoder = Decoder(self._codec)
         config = make_config(RobotDescription.load("go2"), "lo", 0, (KP, KD))
         ends = SocketPort(loop, "the loop"), SocketPort(beats, "the watchdog")
