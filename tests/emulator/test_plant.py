@@ -157,10 +157,11 @@ def test_an_accelerometer_measures_the_specific_force_in_the_base_frame(robot):
     # At rest it is gravity, in the frame of an IMU that is mounted with a roll of 0.2 rad.
     leaning = PhysicalParams.nominal(robot).with_values(robot, imu_mount=[[0.2, 0.0, 0.0]])
     plant = ideal(robot, params=leaning, accelerometer=True)
-    for _ in range(500):
-        plant.step(DAMPED)
     rest = 9.81 * np.array([0.0, np.sin(0.2), np.cos(0.2)])
-    np.testing.assert_allclose(plant.read(0.0, 0.0).accelerometer, rest, atol=0.05)
+    np.testing.assert_allclose(plant.read(0.0, 0.0).accelerometer, rest, atol=0.05)  # at the start
+    for _ in range(1500):
+        plant.step(DAMPED)
+    np.testing.assert_allclose(plant.read(0.0, 0.0).accelerometer, rest, atol=0.01)  # when it has lain down
 
 
 def test_the_accelerometer_is_the_change_of_the_velocity_and_as_old_as_the_other_readings(robot):
@@ -168,7 +169,7 @@ def test_the_accelerometer_is_the_change_of_the_velocity_and_as_old_as_the_other
     plant = ideal(robot, params=params, accelerometer=True)
     speeds, seen = [], []
     for step in range(60):
-        plant.push(np.array([40.0 * (step >= 30), 0.0, robot.weight + 60.0 * (step >= 30)]))
+        plant.push(np.array([80.0, 0.0, 120.0]) * (step >= 30))
         plant.step(DAMPED)
         speeds.append(plant.world.truth().base_velocity_world[0].copy())
         seen.append((plant.read(0.0, 0.0).accelerometer, plant.read(0.0, 0.005).accelerometer))
@@ -177,7 +178,7 @@ def test_the_accelerometer_is_the_change_of_the_velocity_and_as_old_as_the_other
     old, younger = np.swapaxes(seen, 0, 1)
     # It is turned with the base, which hardly turns here.
     np.testing.assert_allclose(old[21:], force[:-20], atol=0.5)
-    np.testing.assert_array_equal(younger[21:45], old[36:])
+    np.testing.assert_array_equal(younger[21:45], old[26:50])
 
 
 def test_the_noise_of_the_accelerometer_changes_no_other_reading(robot):

@@ -21,22 +21,24 @@ class Accelerometer:
         gravity: acceleration of gravity [m/s^2].
         noise: standard deviation of readings [m/s^2].
         seed: seed of the noise.
+        base: pose and velocity of the base link at the start (10,), see `Engine.base`.
     """
 
     def __init__(
-        self, robot: RobotDescription, params: PhysicalParams, gravity: float, noise: float, seed: int
+        self, robot: RobotDescription, params: PhysicalParams, gravity: float, noise: float, seed: int, base: Array
     ) -> None:
         self._step, self._noise = robot.timing.servo_step, noise
         self._random = generator(seed, "emulated accelerometer")
         self._gravity, self._mount = np.array([0.0, 0.0, gravity]), rpy_matrix(*params.imu_mount[0]).T
-        self._velocity = np.zeros(3)
+        self._velocity = base[7:10]
         self._forces: deque[Array] = deque(maxlen=round(float(params.control_latency[0]) / self._step) + 1)
+        self.measure(base)
 
     def measure(self, base: Array, count: int = 1) -> None:
         """Sample the mean force of servo steps.
 
         Args:
-            base: pose and velocity of the base link at the end (10,), see `Engine.base`.
+            base: pose and velocity of the base link at their end (10,).
             count: number of steps since the sample before.
         """
         velocity = base[7:10]

@@ -108,8 +108,7 @@ class Plant:
         self._accelerometer: Accelerometer | None = None
         if accelerometer:
             gravity, noise = self.world.engine.gravity, self.sensors.accelerometer_noise
-            self._accelerometer = Accelerometer(robot, self.params, gravity, noise, seed)
-            self._accelerometer.measure(self.world.engine.base()[0])
+            self._accelerometer = Accelerometer(robot, self.params, gravity, noise, seed, self.world.engine.base()[0])
         self._command: MotorCommand | JointCommand
         self._apply(MotorCommand(Mode.DISARMED, np.zeros(motors)))
         # Load compiled code before the first step; the physics was already run by the world.
