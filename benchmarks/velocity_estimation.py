@@ -38,7 +38,13 @@ from surefoot.arrays import Array
 from surefoot.estimation.interface import MotionReadings, VelocityEstimate
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.evaluation.conditions import Condition
-from surefoot.evaluation.estimated_motion import EstimatedMotion, estimate_intervals, estimate_motion, with_motion
+from surefoot.evaluation.estimated_motion import (
+    EstimatedMotion,
+    EstimatorFactory,
+    estimate_intervals,
+    estimate_motion,
+    with_motion,
+)
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import COMMANDS
@@ -281,7 +287,7 @@ class AcceleratedOdometry:
 def record_accelerometers(name: str, robots: int) -> tuple[list[EpisodeTrace], RobotDescription]:
     """Return runs of a case on emulated robots of table I that have an accelerometer, and the robot's description."""
     policy_name, terrain = CASES[name]
-    policy, robot, *_ = load_gait(find_policy(policy_name), None)
+    _, robot, task, _ = load_gait(find_policy(policy_name), None)
     ranges, traces = load_ranges("table1", robot=robot.folder), []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(100, 100 + robots):
@@ -292,22 +298,12 @@ def record_accelerometers(name: str, robots: int) -> tuple[list[EpisodeTrace], R
             )
             write_params(file, robot, params)
             words: list[object] = ["--duration", DURATION]
-            if policy.contract.commands is not None:
+            if task.commands.enabled:
                 rows = [(k * DURATION / 4, *VELOCITIES[(seed + k) % len(VELOCITIES)]) for k in range(4)]
                 write_csv(commands, [dict(zip(("time", *COMMANDS), row, strict=True)) for row in rows])
                 words += ["--commands", commands]
-            emulated = (
-                "--robot",
-                robot.name,
-                "--params",
-                file,
-                "--accelerometer",
-                "--terrain",
-                terrain,
-                "--seed",
-                seed,
-            )
-            (trace,) = deploy(policy_name, *words, robot=emulated)
+            options = f"--robot {robot.name} --params {file} --terrain {terrain} --seed {seed} --accelerometer"
+            (trace,) = deploy(policy_name, *words, robot=tuple(options.split()))
             known = {"control_latency": float(params.control_latency[0])}
             traces.append(replace(trace, meta={**trace.meta, "params": known}))
             print(f"{name}: robot {seed}, {trace.num_steps} steps, {trace.meta['ended']}", file=sys.stderr, flush=True)
@@ -317,7 +313,11 @@ def record_accelerometers(name: str, robots: int) -> tuple[list[EpisodeTrace], R
 def compare_accelerometer(name: str, robots: int) -> list[dict[str, Any]]:
     """Return the errors in a case without and with accelerometers."""
     traces, robot = record_accelerometers(name, robots)
-    rows, makers = [], {"no": LeggedOdometry, "yes": lambda kind, _: AcceleratedOdometry(traces, kind)}
+    rows = []
+    makers: dict[str, EstimatorFactory] = {
+        "no": LeggedOdometry,
+        "yes": lambda kind, _: AcceleratedOdometry(traces, kind),
+    }
     for used, make in makers.items():
         errors = EstimationErrors.from_runs(traces, estimate_motion(traces, robot, make))
         rows.append(

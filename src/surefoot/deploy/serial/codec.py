@@ -95,8 +95,8 @@ def encodings(kind: type[Message], accelerometer: bool = False) -> dict[str, Fie
     """
     _, encodings = SCHEMA[kind]
     return {
-        item.name: replace(encodings[item.name], **item.metadata)  # type: ignore[arg-type]
-        for item in fields(kind)
+        item.name: replace(encodings[item.name], **item.metadata)
+        for item in fields(kind)  # type: ignore[arg-type]
         if accelerometer or item.name != ACCELEROMETER
     }
 
