@@ -18,9 +18,11 @@ from surefoot.deploy.motion_runner import SITTING_TIME
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.poses import sitting_pose
 from surefoot.deploy.run_saver import RunSaver
+from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.frames import Decoder
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.task.trace import EpisodeTrace
 
 TROT = Path(__file__).resolve().parents[2] / "policies" / "trot.onnx"
 STEP = 0.006
@@ -410,6 +412,20 @@ def wear(toy):
     """Make a motor too hot from now on."""
     toy.firmware._vitals = replace(toy.firmware._vitals, temperature=95.0)
     toy.firmware.tick = lambda now, vitals: None
+
+
+@pytest.mark.parametrize("accelerometer", [False, True])
+def test_the_trace_has_the_accelerometer_of_a_board_that_sends_it(deploy, toy, link, accelerometer):
+    toy.codec = link.codec = link.decoder.codec = toy._decoder.codec = Codec(8, accelerometer)
+    toy.sensors = lambda time, readings: replace(readings, accelerometer=np.array([time, 0.0, 9.75]))
+    _, saved, _ = deploy()
+    assert ("accelerometer" in np.load(saved.path)) == accelerometer
+    force = EpisodeTrace.load(saved.path).accelerometer
+    if accelerometer:
+        np.testing.assert_allclose(np.diff(force, axis=0), np.tile([STEP, 0.0, 0.0], (STEPS - 1, 1)), atol=1e-5)
+        assert (force[:, 2] == 9.75).all()
+    else:
+        assert np.isnan(force).all()
 
 
 def test_a_robot_that_cannot_be_armed_is_an_error(deploy, toy):
