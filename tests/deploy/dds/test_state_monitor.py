@@ -165,12 +165,18 @@ def test_a_tick_overflow_is_not_a_restart(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
-    [("q", np.nan), ("dq", np.inf), ("tau_est", -np.inf)],
+    ("part", "field", "at", "value"),
+    [
+        ("motor_state", "q", 7, np.nan),
+        ("motor_state", "dq", 7, np.inf),
+        ("motor_state", "tau_est", 7, -np.inf),
+        ("imu_state", "gyroscope", 2, np.nan),
+        ("imu_state", "accelerometer", 2, np.nan),
+    ],
 )
-def test_readings_that_are_not_finite_are_a_hazard(bench: Bench, field: str, value: float) -> None:
+def test_readings_that_are_not_finite_are_a_hazard(bench: Bench, part: str, field: str, at: int, value: float) -> None:
     bench.run(0.1)
-    bench.state["motor_state"][field][7] = value
+    bench.state[part][field][at] = value
     hazard = bench.run(0.002).hazard
     assert hazard is not None
     assert hazard[0] == Reason.NOT_FINITE

@@ -235,6 +235,12 @@ def test_time_follows_the_robots_tick(bench: Bench) -> None:
     assert last.time == pytest.approx(1e-6 * EVENT + 1.0, abs=0.004)  # its tick began at a second
 
 
+def test_the_accelerometer_of_the_robot_is_sent(bench: Bench) -> None:
+    bench.state["imu_state"]["accelerometer"] = 0.5, -0.25, 9.75
+    bench.run(until=EVENT)
+    assert bench.received(State)[-1].message.accelerometer.tolist() == [0.5, -0.25, 9.75]
+
+
 def test_duties_are_rejected(bench: Bench) -> None:
     bench.at(ARMED - STEP // 2, lambda: bench.send(Arm(ME, int(Mode.PWM), 1e-6 * STEP, 0.005)))
     bench.run(until=EVENT)
