@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 MAX_OTHER_CORES = 0.05
@@ -85,6 +86,23 @@ class Stopwatch:
             "cpu_seconds": round(self.cpu, 3),
             "other_cores": None if other is None else round(other, 3),
         }
+
+
+def time_turn(step: Callable[[int], object], physics_steps: int, seconds: float) -> dict[str, float | None]:
+    """Time calls of a function for some wall time; return the steps of physics that it did, and `Stopwatch.times`.
+
+    Args:
+        step: runs the k-th control step of all robots.
+        physics_steps: steps of physics in a call, of all robots together.
+        seconds: wall time after which no further call begins [s].
+    """
+    watch, calls = Stopwatch(), 0
+    watch.start()
+    while watch.wall < seconds:
+        step(calls)
+        calls += 1
+    watch.stop()
+    return {"steps": calls * physics_steps, **watch.times()}
 
 
 def check_idle(anyway: bool, seconds: float = 1.0) -> tuple[bool, float | None]:

@@ -19,19 +19,22 @@ simulation that diverges; errors count up to it. Each side is evaluated in its o
 those of the data sheet, and at 60 and 180 s also randomized as in the training. mjbatch's are those of its training:
 floor friction 0.4 to 1, joints up to 0.1 rad from its pose, and its policy observes the true velocity of the base.
 
-**Throughput.** Four layers take turns on the Go1 at physics steps of 4, 2 and 1 ms with 1 and 2 threads: `mjbatch`
+**Throughput.** Layers take turns on the Go1 at physics steps of 4, 2 and 1 ms with 1 and 2 threads: `mjbatch`
 (`Batch.step` on its example's model alone, without observations and reward) and `rollout` (`mujoco.rollout` on the
 same model, ten control steps at once) hold random motor angles for 20 ms; `world` (`SimWorld.step`: servo, motor,
 delays, foot contact and sensors) does so for 16 ms, and `env` (`LocomotionEnv.step`) takes random actions, with
-observation, reward and resets. Ratios to mjbatch are medians over rounds with quartiles. EnvPool is not included.
+observation, reward and resets. With `--envpool-python PYTHON` the layer `envpool` is a step of EnvPool's own Go1 (4 ms,
+random actions of 20 ms). Ratios to mjbatch are medians over rounds with quartiles.
 
-All but the load of the machine is in the files: learning.csv, runs.csv, summary.csv, throughput.csv, machine.json and
-learning.png in `--out`. The machine must be idle when a part begins, or the run ends; `--anyway` goes on, and the
-column `idle` says so. `other_cores` is what other processes used during each row. Priorities do not help: `nice`
-has no effect between sessions where the kernel groups them (`sched_autogroup_enabled`).
+learning.csv, runs.csv, summary.csv, throughput.csv, machine.json and learning.png are written to `--out`. The machine
+must be idle when a part begins, or the run ends; `--anyway` goes on, and the column `idle` is then 0. `other_cores` is
+what other processes used during a row, next to the processor time of the row's own process. A low priority of other
+processes does not help: `nice` has no effect between sessions where the kernel groups them
+(`sched_autogroup_enabled`).
 
-Limits: one processor, one set of commands, and one example of the rival; versions of MuJoCo differ (machine.json).
-A complete run with five seeds takes about three hours, throughput alone (`--parts throughput`) eight minutes.
+Limits: one processor, one set of commands, and one example of the rival; versions of MuJoCo differ (machine.json). The
+trainings of a complete run with five seeds take 100 minutes, to which evaluations come; throughput (`--parts
+throughput`) takes a few minutes.
 """
 
 from __future__ import annotations
@@ -44,6 +47,7 @@ import statistics
 import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -83,6 +87,8 @@ FIRST, POINTS_PER_DOUBLING = 10.0, 6
 """First point at which a policy is evaluated, at the earliest [s], and the number of points until the time doubles."""
 TIMESTEPS = (0.004, 0.002, 0.001)
 """Steps of the physics [s]."""
+ENVPOOL_TIMESTEP = 0.004
+"""Step of the physics in EnvPool's environment [s]."""
 BASE = "mjbatch"
 """Layer to which others are compared."""
 RANDOMIZE = "table1"
@@ -100,6 +106,8 @@ class Command:
     """Clone of mjbatch. Without it only surefoot is measured."""
     mjbatch_python: Path = Path(sys.executable)
     """Python with mjbatch and torch."""
+    envpool_python: Path | None = None
+    """Python with EnvPool 1.2.7. Without it EnvPool is not measured."""
     parts: tuple[Part, ...] = ("throughput", "learning")
     """What to measure."""
     robots: tuple[str, ...] = ("go1", "go2")
@@ -170,8 +178,8 @@ def command_errors(poses: Mapping[str, Array], commands: Array) -> dict[str, Any
         errors.append(measured[time[: end - 1] >= SETTLED - 1e-9])
     whole = np.concatenate(errors)
     rmse = np.sqrt((whole**2).mean(axis=0)) if len(whole) else np.full(3, np.nan)
-    named = dict(zip(COMMANDS, rmse.tolist(), strict=True))
-    return {"falls": falls, "episodes": len(commands), **named, "planar": float(np.hypot(rmse[0], rmse[1]))}
+    named = dict(zip(COMMANDS, rmse.round(4).tolist(), strict=True))
+    return {"falls": falls, "episodes": len(commands), **named, "planar": round(float(np.hypot(rmse[0], rmse[1])), 4)}
 
 
 def first_below(run: Run, limit: float) -> float:
@@ -246,19 +254,20 @@ def measure_throughput(command: Command, robot: str, idle: bool) -> list[dict[st
     """Return one row per number of threads, step of the physics and layer, as they are measured."""
     rows: list[dict[str, Any]] = []
     for threads in (1, 2):
-        with surefoot_worker(threads) as own, rival_worker(command, threads) as rival:
+        with workers(command, threads) as (own, rival, envpool):
             for timestep in TIMESTEPS:
-                setting = {
-                    "timestep": timestep, "num_envs": command.num_envs, "threads": threads, "seconds": command.turn
-                }  # fmt: skip
+                common = {"num_envs": command.num_envs, "threads": threads, "seconds": command.turn}
                 layers = {}
                 if rival is not None:
-                    about = {"clone": str(command.mjbatch), "model": str(command.model)}
-                    layers |= {name: Throughput(rival, layer=name, **about, **setting) for name in (BASE, "rollout")}
-                layers |= {name: Throughput(own, layer=name, robot=robot, **setting) for name in ("world", "env")}
+                    about = {"clone": str(command.mjbatch), "model": str(command.model), "timestep": timestep}
+                    layers |= {name: Throughput(rival, layer=name, **about, **common) for name in (BASE, "rollout")}
+                if envpool is not None and timestep == ENVPOOL_TIMESTEP:
+                    layers["envpool"] = Throughput(envpool, **common)
+                for name in ("world", "env"):
+                    layers[name] = Throughput(own, layer=name, robot=robot, timestep=timestep, **common)
                 wall = measure(layers, command.rounds)
-                about = {"idle": idle, "threads": threads, "timestep_ms": 1000 * timestep}
-                part = [{"layer": row["layer"], **about, **row} for row in throughput_rows(layers, wall)]
+                setting = {"idle": idle, "threads": threads, "timestep_ms": 1000 * timestep}
+                part = [{"layer": row["layer"], **setting, **row} for row in throughput_rows(layers, wall)]
                 rows += part
                 loads = [row["other_cores"] for row in part]
                 print(f"{threads} threads, {1000 * timestep:g} ms: others used {describe_load(loads)}", flush=True)
@@ -274,24 +283,17 @@ def describe_load(loads: Sequence[float | None]) -> str:
     return f"{low} cores" if low == high else f"{low} to {high} cores"
 
 
-class NoWorker:
-    """In place of a rival that is not measured."""
-
-    def __enter__(self) -> None:
-        return None
-
-    def __exit__(self, *_: object) -> None:
-        return None
-
-
-def surefoot_worker(threads: int) -> Worker:
-    """Start surefoot's process."""
-    return Worker(sys.executable, "rivals_surefoot.py", threads)
-
-
-def rival_worker(command: Command, threads: int) -> Worker | NoWorker:
-    """Start mjbatch's process, if it is measured."""
-    return NoWorker() if command.mjbatch is None else Worker(command.mjbatch_python, "rivals_mjbatch.py", threads)
+@contextmanager
+def workers(command: Command, threads: int) -> Iterator[tuple[Worker, Worker | None, Worker | None]]:
+    """Context manager that yields the processes of surefoot, mjbatch and EnvPool; None for a rival that is left out."""
+    pythons = {"rivals_surefoot.py": Path(sys.executable)}
+    if command.mjbatch is not None:
+        pythons["rivals_mjbatch.py"] = command.mjbatch_python
+    if command.envpool_python is not None:
+        pythons["rivals_envpool.py"] = command.envpool_python
+    with ExitStack() as stack:
+        found = {script: stack.enter_context(Worker(python, script, threads)) for script, python in pythons.items()}
+        yield found["rivals_surefoot.py"], found.get("rivals_mjbatch.py"), found.get("rivals_envpool.py")
 
 
 @dataclass(frozen=True)
@@ -315,7 +317,7 @@ class Training:
         }  # fmt: skip
         if self.system == "surefoot":
             more = {"robot": self.folder, "randomize": RANDOMIZE}
-            with surefoot_worker(command.threads) as worker:
+            with Worker(sys.executable, "rivals_surefoot.py", command.threads) as worker:
                 points = worker.ask("train", **arguments, **more, randomized_at=[*REPORTED, last])
         else:
             more = {"clone": str(command.mjbatch), "model": str(command.model)}
@@ -559,7 +561,9 @@ def main(command: Command) -> None:
         go1 = f"{temporary}/go1"
         robots = {name: go1 if name == "go1" else name for name in command.robots}
         begin("preparation")
-        with surefoot_worker(1) as worker, rival_worker(command, 1) as rival:
+        with workers(command, 1) as (worker, rival, envpool):
+            if envpool is not None:
+                about["envpool"] = envpool.ask("about")
             if rival is not None:
                 about["mjbatch"] = rival.ask("about", clone=str(command.mjbatch), model=str(command.model))
             worker.ask("import_robot", model=str(command.model), folder=go1, name="go1")

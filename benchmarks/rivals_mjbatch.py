@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from processor_time import Stopwatch
+from processor_time import Stopwatch, time_turn
 from worker_process import WorkerError, serve
 
 EXAMPLE = "go1_joystick"
@@ -180,13 +180,7 @@ def turn(
         seconds: wall time [s].
     """
     step, physics_steps = _layer(layer, clone, model, timestep, num_envs, threads)
-    watch, steps = Stopwatch(), 0
-    watch.start()
-    while watch.wall < seconds:
-        step(steps)
-        steps += 1
-    watch.stop()
-    return {"steps": steps * physics_steps, **watch.times()}
+    return time_turn(step, physics_steps, seconds)
 
 
 @cache

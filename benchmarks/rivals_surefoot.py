@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from processor_time import Stopwatch
+from processor_time import time_turn
 from velocity_tracking import checkpoints
 from worker_process import WorkerError, serve
 
@@ -154,13 +154,7 @@ def turn(layer: str, robot: str, timestep: float, num_envs: int, threads: int, s
         seconds: wall time [s].
     """
     step, physics_steps = _layer(layer, robot, timestep, num_envs, threads)
-    watch, steps = Stopwatch(), 0
-    watch.start()
-    while watch.wall < seconds:
-        step(steps)
-        steps += 1
-    watch.stop()
-    return {"steps": steps * physics_steps, **watch.times()}
+    return time_turn(step, physics_steps, seconds)
 
 
 @cache

@@ -11,6 +11,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -73,11 +74,9 @@ class Worker:
         requests, answers = self._process.stdin, self._process.stdout
         assert requests is not None
         assert answers is not None
-        try:
+        with suppress(BrokenPipeError):  # the end of the process is reported below
             requests.write(json.dumps([name, arguments]) + "\n")
             requests.flush()
-        except BrokenPipeError:
-            pass  # the end of the process is reported below
         line = answers.readline()
         if not line:
             code = self._process.wait()
@@ -89,7 +88,8 @@ class Worker:
 
     def close(self) -> None:
         """End the process."""
-        if self._process.stdin is not None:
+        assert self._process.stdin is not None
+        with suppress(BrokenPipeError):  # a request that a dead process never read
             self._process.stdin.close()
         try:
             self._process.wait(timeout=10)
