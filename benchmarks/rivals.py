@@ -257,7 +257,7 @@ def measure_throughput(command: Command, robot: str, idle: bool) -> list[dict[st
         with workers(command, threads) as (own, rival, envpool):
             for timestep in TIMESTEPS:
                 common = {"num_envs": command.num_envs, "threads": threads, "seconds": command.turn}
-                layers = {}
+                layers: dict[str, Throughput] = {}
                 if rival is not None:
                     about = {"clone": str(command.mjbatch), "model": str(command.model), "timestep": timestep}
                     layers |= {name: Throughput(rival, layer=name, **about, **common) for name in (BASE, "rollout")}
@@ -453,11 +453,11 @@ def draw(runs: Mapping[str, Mapping[int, Run]], path: Path, idle: bool) -> None:
             ax.set_title(title)
             threads = next(iter(next(iter(runs.values())).values()))[0]["threads"]
             ax.set_xlabel(f"training with {threads} threads (s){'' if idle else '; the machine was busy'}")
-            ax.set_xticks(ticks := [10, 20, 30, 60, 120, 240, 480], [f"{tick:g}" for tick in ticks])
-            ax.set_yticks(ticks := [0.05, 0.1, 0.2, 0.3, 0.5, 1.0], [f"{tick:g}" for tick in ticks])
+            ax.set_xticks(times := [10, 20, 30, 60, 120, 240, 480], [f"{tick:g}" for tick in times])
+            ax.set_yticks(errors := [0.05, 0.1, 0.2, 0.3, 0.5, 1.0], [f"{tick:g}" for tick in errors])
             ax.minorticks_off()
         axes[0].axhline(LIMITS[-1], color=QUIET, linewidth=0.8, linestyle="--")
-        axes[0].legend()
+        axes[0].legend(loc="lower left")
 
 
 def write_learning(folder: Path, rows: Sequence[dict[str, Any]], idle: bool) -> list[dict[str, Any]]:

@@ -64,7 +64,7 @@ def _example(clone: str, model: str) -> Any:
     sys.modules["mujoco_menagerie"] = menagerie
     sys.path.insert(0, str(folder))
     try:
-        example = importlib.import_module(EXAMPLE)
+        example: Any = importlib.import_module(EXAMPLE)
     except ImportError as error:
         raise WorkerError(
             f"--mjbatch-python {sys.executable}: can't import {folder / EXAMPLE}.py: {error}; install mjbatch 0.1.4, "

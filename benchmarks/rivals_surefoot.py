@@ -91,7 +91,7 @@ def train(
     """
     config, rows, previous = _config(robot, randomize, seed, threads), list[dict[str, Any]](), 0.0
     for watch, learner in checkpoints(config, times):
-        point = {**watch.times(), "samples": learner.steps}
+        point: dict[str, Any] = {**watch.times(), "samples": learner.steps}
         cases: dict[str, Ranges] = {"nominal": {}}
         if any(previous < time <= watch.wall for time in randomized_at):
             cases["randomized"] = config.task.randomize
@@ -166,7 +166,7 @@ def _layer(layer: str, robot: str, timestep: float, num_envs: int, threads: int)
     physics_steps = num_envs * round(float(env.nominal.control_step[0]) / timestep)
     rng = np.random.default_rng(0)
     if layer == "env":
-        actions = np.clip(rng.normal(0.0, ACTION_NOISE, (_BLOCK, *env.action_space.shape)), -1.0, 1.0)  # type: ignore[misc]
+        actions = np.clip(rng.normal(0.0, ACTION_NOISE, (_BLOCK, *env.action_space.shape)), -1.0, 1.0)
 
         def step(k: int) -> object:
             return env.step(actions[k % _BLOCK])
