@@ -15,9 +15,10 @@ same for all: forward -0.5 to 1 m/s, sideways up to 0.4 m/s and yaw rates up to 
 drawn. Errors are root mean squares, over robots and control steps, of the mean velocity in a control step from the
 motion of the base, in the heading frame, minus the command; the first 1.5 s are left out. The planar error is the root
 of the sum of squares of the forward and the sideways error. A fall is a roll or pitch of more than 0.5 rad, or a
-simulation that diverges; errors count up to it. Each side is evaluated in its own simulation. surefoot's robots are
-those of the data sheet, and at 60 and 180 s also randomized as in the training. mjbatch's are those of its training:
-floor friction 0.4 to 1, joints up to 0.1 rad from its pose, and its policy observes the true velocity of the base.
+simulation that diverges; errors count up to it. Each side is evaluated in its own simulation. surefoot's robots
+follow the data sheet, and at 60 s, 180 s and the end also the ranges of the training. mjbatch's robots are randomized
+as in its training (floor friction 0.4 to 1, joints up to 0.1 rad from its pose), and its policy observes the true
+velocity of the base.
 
 **Throughput.** Layers take turns on the Go1 at physics steps of 4, 2 and 1 ms with 1 and 2 threads: `mjbatch`
 (`Batch.step` on its example's model alone, without observations and reward) and `rollout` (`mujoco.rollout` on the
@@ -27,9 +28,9 @@ observation, reward and resets. With `--envpool-python PYTHON` the layer `envpoo
 random actions of 20 ms). Ratios to mjbatch are medians over rounds with quartiles.
 
 learning.csv, runs.csv, summary.csv, throughput.csv, machine.json and learning.png are written to `--out`. The machine
-must be idle when a part begins, or the run ends; `--anyway` goes on, and the column `idle` is then 0. `other_cores` is
-what other processes used during a row, next to the processor time of the row's own process. A low priority of other
-processes does not help: `nice` has no effect between sessions where the kernel groups them
+must be idle when a part begins, or the run ends; `--anyway` continues, and the column `idle` is then 0. Each row has
+the wall time, the processor time of its own process, and in `other_cores` what other processes used meanwhile. A low
+priority of other processes does not help: `nice` has no effect between sessions where the kernel groups them
 (`sched_autogroup_enabled`).
 
 Limits: one processor, one set of commands, and one example of the rival; versions of MuJoCo differ (machine.json). The
@@ -239,15 +240,17 @@ def throughput_rows(layers: Mapping[str, Throughput], wall: Mapping[str, Sequenc
             ratios = ratio_quartiles(rates, name, BASE) if BASE in layers else (None, None, None)
             for end, ratio in zip(("_low", "", "_high"), ratios, strict=True):
                 row[f"{kind}_ratio{end}"] = ratio
-        rows.append(row | {"other_cores": mean_load(layer.turns, "seconds")})
+        row |= {name: round(sum(turn[name] for turn in layer.turns), 2) for name in ("seconds", "cpu_seconds")}
+        rows.append(row | {"other_cores": mean_load(layer.turns)})
     return rows
 
 
-def mean_load(turns: Sequence[Mapping[str, Any]], weight: str) -> float | None:
-    """Return the mean of `other_cores` over turns or trainings, weighted by their duration; None if unknown."""
+def mean_load(turns: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return the mean of `other_cores` over turns, weighted by their duration; None if unknown."""
     if any(turn["other_cores"] is None for turn in turns):
         return None
-    return round(sum(turn["other_cores"] * turn[weight] for turn in turns) / sum(turn[weight] for turn in turns), 3)
+    seconds = [turn["seconds"] for turn in turns]
+    return round(float(np.average([turn["other_cores"] for turn in turns], weights=seconds)), 3)
 
 
 def measure_throughput(command: Command, robot: str, idle: bool) -> list[dict[str, Any]]:
@@ -270,7 +273,7 @@ def measure_throughput(command: Command, robot: str, idle: bool) -> list[dict[st
                 part = [{"layer": row["layer"], **setting, **row} for row in throughput_rows(layers, wall)]
                 rows += part
                 loads = [row["other_cores"] for row in part]
-                print(f"{threads} threads, {1000 * timestep:g} ms: others used {describe_load(loads)}", flush=True)
+                print(f"threads {threads}, {1000 * timestep:g} ms: others used {describe_load(loads)}", flush=True)
     return rows
 
 
@@ -392,7 +395,7 @@ def summarize(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return one row per rival and robot from the rows of trainings: times to planar errors, and ratios of rivals.
 
     A ratio is mjbatch's time to surefoot's with the same seed on the same robot; its median, minimum and maximum over
-    seeds are given if all these trainings got there.
+    seeds are given if all these trainings reached the error.
     """
     table = []
     for name in dict.fromkeys(row["name"] for row in rows):
@@ -534,8 +537,20 @@ def print_learning(summary: Sequence[Mapping[str, Any]]) -> None:
             for row in summary
             for limit in LIMITS
         ],
-        "Time of training to a planar error, median (minimum to maximum) if all seeds got there",
+        "Time of training to a planar error, median (minimum to maximum) if all seeds reached it",
     )
+
+
+def begin(command: Command, part: Part, about: Mapping[str, Any]) -> bool:
+    """Check that the machine is idle before a part, and write what its results depend on; see `check_idle`."""
+    idle, other = check_idle(command.anyway)
+    print(f"{part}: others use {describe_load([other])}{'' if idle else ', so times mean nothing'}", flush=True)
+    path = command.out / "machine.json"
+    known = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    known[part] = {**about, "idle": idle, "other_cores": None if other is None else round(other, 3)}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    atomic_write(path, json.dumps(known, indent=2) + "\n")
+    return idle
 
 
 def main(command: Command) -> None:
@@ -547,20 +562,10 @@ def main(command: Command) -> None:
     if min(command.minutes, command.rival_minutes) * 60 < FIRST:
         raise SurefootError(f"--minutes and --rival-minutes must be at least {FIRST / 60:.2f}")
     about: dict[str, Any] = {**machine(), "threads": command.threads, "quick": command.quick}
-
-    def begin(part: str) -> bool:
-        """Check that the machine is idle before a part, and write what the part's results depend on."""
-        idle, other = check_idle(command.anyway)
-        print(f"{part}: others use {describe_load([other])}{'' if idle else ', so times mean nothing'}", flush=True)
-        about[part] = {"idle": idle, "other_cores": None if other is None else round(other, 3)}
-        command.out.mkdir(parents=True, exist_ok=True)
-        atomic_write(command.out / "machine.json", json.dumps(about, indent=2) + "\n")
-        return idle
-
     with tempfile.TemporaryDirectory(prefix="rivals-") as temporary:
         go1 = f"{temporary}/go1"
         robots = {name: go1 if name == "go1" else name for name in command.robots}
-        begin("preparation")
+        check_idle(command.anyway)  # before the preparations, which take half a minute
         with workers(command, 1) as (worker, rival, envpool):
             if envpool is not None:
                 about["envpool"] = envpool.ask("about")
@@ -570,11 +575,12 @@ def main(command: Command) -> None:
             about["surefoot"] = worker.ask("about", robots=list(robots.values()))
             worker.ask("warm_up", robot=go1, randomize=RANDOMIZE)
         if "throughput" in command.parts:
-            rows = measure_throughput(command, go1, begin("throughput"))
+            rows = measure_throughput(command, go1, begin(command, "throughput", about))
             write_csv(command.out / "throughput.csv", rows)
             print_throughput(rows)
         if "learning" in command.parts:
-            idle, points, summary = begin("learning"), list[dict[str, Any]](), list[dict[str, Any]]()
+            idle = begin(command, "learning", about)
+            points, summary = list[dict[str, Any]](), list[dict[str, Any]]()
             for run in measure_learning(command, robots, idle):
                 points += run
                 summary = write_learning(command.out, points, idle)  # an interrupted run leaves what it has

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 import sys
@@ -266,6 +267,7 @@ def test_throughput_is_compared_in_turns():
     wall = {name: [turn["steps"] / turn["seconds"] for turn in layer.turns] for name, layer in layers.items()}
     base, world = throughput_rows(layers, wall)
     assert (base["cpu_ratio"], base["steps_per_cpu_second"], base["other_cores"]) == (1.0, 750, 0.2)
+    assert (base["seconds"], base["cpu_seconds"]) == (6.0, 3.0)
     assert (world["cpu_ratio"], world["cpu_ratio_low"], world["wall_ratio"]) == (3.0, 2.5, 3.0)
     alone = throughput_rows({"world": layers["world"]}, wall)
     assert alone[0]["cpu_ratio"] is None
@@ -448,3 +450,31 @@ def test_every_command_lasts_as_long_whatever_the_control_step(tmp_path: Path):
         assert np.linalg.norm(poses["quat"], axis=-1) == pytest.approx(1.0)
     ends = np.count_nonzero(np.diff(poses["time"], axis=0), axis=0)
     assert len(set(ends.tolist())) > 1  # robots with other control steps
+
+
+def test_a_busy_machine_ends_the_run_in_one_line_before_anything_is_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    import rivals
+
+    busy = {"clock": 0.0}
+
+    def now() -> tuple[float, float, float]:
+        busy["clock"] += 1.0
+        return busy["clock"], 0.0, 2 * busy["clock"]
+
+    monkeypatch.setattr(processor_time, "_now", now)
+    monkeypatch.setattr(processor_time.time, "sleep", lambda _: None)
+    model = tmp_path / "go1.xml"
+    with pytest.raises(ValueError, match=r"go1.xml: no such file; name the MJCF"):
+        rivals.main(rivals.Command(model, out=tmp_path / "out"))
+    model.write_text("<mujoco/>")
+    with pytest.raises(TooBusy, match=r"other processes use 2\.00 cores"):
+        rivals.main(rivals.Command(model, out=tmp_path / "out"))
+    assert not (tmp_path / "out").exists()
+    command = rivals.Command(model, out=tmp_path / "out", anyway=True)
+    assert not rivals.begin(command, "throughput", {"cores": 2})
+    assert not rivals.begin(command, "learning", {"cores": 4})
+    written = json.loads((tmp_path / "out" / "machine.json").read_text())
+    assert [written[part]["cores"] for part in ("throughput", "learning")] == [2, 4]
+    assert written["learning"]["idle"] is False
