@@ -18,7 +18,6 @@ from __future__ import annotations
 
 import argparse
 import csv
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +25,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from processor_time import Stopwatch
 
 from surefoot.arrays import Array
 from surefoot.evaluation.rollout import run_episodes
@@ -94,23 +94,36 @@ def measure(learner: PpoLearner, episodes: int, within: Sequence[float] = ()) ->
     return {"falls": sum(trace.fell for trace in traces), "episodes": episodes, **named}
 
 
+def checkpoints(config: TrainConfig, times: Sequence[float]) -> Iterator[tuple[Stopwatch, PpoLearner]]:
+    """Train, and yield the learner and its time at the first update after each of some increasing times [s].
+
+    The time includes building the models. With one thread it is processor time, with several wall time. It pauses while
+    the caller uses the learner.
+    """
+    watch, left = Stopwatch(), list(times)
+    watch.start()
+    learner = PpoLearner(config, SimWorld)
+    while left:
+        learner.update()
+        spent = watch.cpu if config.threads == 1 else watch.wall
+        if spent >= left[0]:
+            watch.stop()
+            yield watch, learner
+            left = [time for time in left if time > spent]
+            watch.start()
+
+
 def train(
     config: TrainConfig, minutes: float, every: float, episodes: int, within: Sequence[float]
 ) -> Iterator[dict[str, Any]]:
     """Train for some minutes, and yield the errors every `every` minutes; measuring is not included in the time."""
-    clock = time.process_time if config.threads == 1 else time.perf_counter
-    spent, due, start = 0.0, every, clock()
-    learner = PpoLearner(config, SimWorld)
-    while due <= minutes + 1e-9:
-        learner.update()
-        spent += clock() - start
-        if spent >= 60 * due:
-            point = {"seconds": round(spent, 1), "control_steps": learner.steps, **measure(learner, episodes)}
-            if within:
-                point |= {f"{name}_within": value for name, value in measure(learner, episodes, within).items()}
-            yield point
-            due = every * (spent // (60 * every) + 1)
-        start = clock()
+    times = [60 * every * (k + 1) for k in range(int(minutes / every + 1e-9))]
+    for watch, learner in checkpoints(config, times):
+        seconds = watch.cpu if config.threads == 1 else watch.wall
+        point = {"seconds": round(seconds, 1), "control_steps": learner.steps, **measure(learner, episodes)}
+        if within:
+            point |= {f"{name}_within": value for name, value in measure(learner, episodes, within).items()}
+        yield point
 
 
 def main() -> int:

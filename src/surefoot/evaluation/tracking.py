@@ -115,8 +115,19 @@ def _step_distances(trace: EpisodeTrace) -> tuple[Array, Array]:
 
 def measured_velocity(trace: EpisodeTrace) -> Array:
     """Return the mean forward and left speed [m/s] and yaw rate [rad/s] of each control step (T, 3)."""
-    yaw, step = quat_yaw(trace.base_quat_world), np.diff(trace.time, prepend=0.0)
-    velocity = np.diff(trace.base_position_world, axis=0) / step[:, None]
+    return mean_velocity(np.diff(trace.time, prepend=0.0), trace.base_position_world, trace.base_quat_world)
+
+
+def mean_velocity(step: Array, position: Array, quat: Array) -> Array:
+    """Return mean forward and left speed in the heading frame [m/s] and yaw rate [rad/s] between poses (T, 3).
+
+    Args:
+        step: durations between poses (T,) [s].
+        position: positions of the base in the world frame (T + 1, 3) [m].
+        quat: orientations of the base in the world frame (T + 1, 4), w x y z.
+    """
+    yaw = quat_yaw(quat)
+    velocity = np.diff(position, axis=0) / step[:, None]
     turned = (np.diff(yaw) + np.pi) % (2 * np.pi) - np.pi
     return np.column_stack([in_heading_frame(velocity, yaw[:-1])[:, :2], turned / step])
 
