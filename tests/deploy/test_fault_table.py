@@ -185,14 +185,18 @@ def wait_for(event: threading.Event, host: Host) -> None:
 
 
 def damped_after(record: Record) -> float:
-    """Time from the last accepted command to damped motors, on the robot's clock [s]."""
-    faults = [frame for frame in record.robot_packets(Fault) if frame.message.reason == Reason.TIMEOUT]
-    assert faults, "the robot never missed its host"
-    since = record.robot_packets(State, faults[-1].time)
+    """Wait until the robot has sunk; return the time from its last command to damped motors, by its clock [s]."""
+    end = time.monotonic() + PATIENCE
+    while True:
+        faults = [frame for frame in record.robot_packets(Fault) if frame.message.reason == Reason.TIMEOUT]
+        since = record.robot_packets(State, faults[-1].time) if faults else []
+        is_later = len(since) > 1 and since[-1].time - since[0].time > 0.3
+        if is_later and np.abs(since[-1].message.motor_velocity).max() < 2.0:
+            break
+        assert time.monotonic() < end, "the robot never missed its host, or it never came to rest"
+        time.sleep(0.05)
     # It stays damped.
     assert {(state.message.mode, state.message.reason) for state in since} == {(Mode.FAULT, Reason.TIMEOUT)}
-    assert since[-1].time - since[0].time > 0.15
-    assert np.abs(since[-1].message.motor_velocity).max() < 2.0
     after = since[0].message.command_age - (since[0].time - faults[-1].time)
     print(f"damped {1e3 * after:.1f} ms after the last command")
     return float(after)
@@ -223,7 +227,6 @@ def test_row_1_a_host_that_hangs_and_one_that_is_killed(living_robot, tmp_path):
         with deployed(living_robot, tmp_path, quick=False) as (cable, host):
             wait_for(cable.moment(0.2), host)
             host.popen.send_signal(number)
-            time.sleep(0.3)
             assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
             if number == signal.SIGKILL:
                 break
@@ -244,7 +247,6 @@ def test_row_1_a_pulled_cable_while_both_ends_continue(living_robot, tmp_path):
         assert ended.outcome == (3, "fault", "stale state")
         assert ended.saved_trace.num_steps > 20
         assert_damped_at_once(cable.record)  # the robot does not receive it
-        time.sleep(0.5)  # the robot sinks
         assert 0.045 < damped_after(cable.record) <= DAMPED_WITHIN
 
 
