@@ -100,11 +100,8 @@ def random_message(rng: random.Random, operator: int) -> Message:
 def fuzz(frames: int, seed: int, program: Path) -> dict[str, Any]:
     """Send frames to the firmware; return the counts."""
     rng, start = random.Random(seed), time.perf_counter()
-    firmware, line, decoder = (
-        FirmwareProcess(program, ROBOT.name, 8),
-        BadLine(rng),
-        Decoder(Codec(8, text_errors="replace")),
-    )
+    firmware, line = FirmwareProcess(program, ROBOT.name, 8), BadLine(rng)
+    decoder = Decoder(Codec(8, text_errors="replace"))
     now = number = sent = step = me = 0
     modes: Counter[str] = Counter()
     reasons: Counter[str] = Counter()

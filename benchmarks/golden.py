@@ -15,7 +15,6 @@ import hashlib
 import json
 import time
 from collections.abc import Iterator
-from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -89,7 +88,7 @@ def rollout(policy: PolicyRuntime, task: TaskConfig, seed: int = 3) -> dict[str,
             figures = info["figures"]["return"] if "figures" in info else np.zeros(ROBOTS)
             arrays = (truth.base_position_world, truth.motor_angle, truth.energy, reward, terminated, truncated)
             hashes.append(digest(observation, *arrays, figures, env.privileged(), *env.state.reward_terms.values()))
-    state = deepcopy(env.get_state())
+    state = env.get_state()
     once = [env.step(np.zeros(env.action_space.shape))[0] for _ in range(3)]
     env.set_state(state)
     again = [env.step(np.zeros(env.action_space.shape))[0] for _ in range(3)]
@@ -121,7 +120,7 @@ def training(config: TrainConfig) -> dict[str, Any]:
     half, state, rows = config.updates // 2, None, []
     for update in range(config.updates):
         if update == half:
-            state = deepcopy(learner.get_state())
+            state = learner.get_state()
         rows.append(_metrics(learner.update()))
     other = PpoLearner(config, find_world("mujoco"))
     assert state is not None

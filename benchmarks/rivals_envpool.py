@@ -14,15 +14,12 @@ from typing import Any
 
 import numpy as np
 from processor_time import time_turn
+from rivals_inputs import BLOCK, random_actions
 from worker_process import WorkerError, serve
 
 TASK = "Go1JoystickFlatTerrain-v1"
 PHYSICS_STEPS = 5
 """Steps of the physics in a control step."""
-ACTION_NOISE = 0.15
-"""Standard deviation of random actions, as for surefoot's environment."""
-_BLOCK = 64
-"""Number of different random actions, which are repeated."""
 
 
 def about() -> dict[str, str]:
@@ -40,18 +37,17 @@ def about() -> dict[str, str]:
 
 @cache
 def _environment(num_envs: int, threads: int) -> tuple[Any, Any]:
-    """Return an environment after its reset, and random actions (_BLOCK, N, A)."""
+    """Return an environment after its reset, and random actions (BLOCK, N, A)."""
     envpool = importlib.import_module("envpool")
     env = envpool.make_gymnasium(TASK, num_envs=num_envs, num_threads=threads, seed=0)
     env.reset()
-    noise = np.random.default_rng(0).normal(0.0, ACTION_NOISE, (_BLOCK, num_envs, *env.action_space.shape[-1:]))
-    return env, np.clip(noise, -1.0, 1.0)
+    return env, random_actions(num_envs, env.action_space.shape[-1])
 
 
 def turn(num_envs: int, threads: int, seconds: float) -> dict[str, Any]:
     """Time control steps for some wall time; see `time_turn`."""
     env, actions = _environment(num_envs, threads)
-    return time_turn(lambda k: env.step(actions[k % _BLOCK]), num_envs * PHYSICS_STEPS, seconds)
+    return time_turn(lambda k: env.step(actions[k % BLOCK]), num_envs * PHYSICS_STEPS, seconds)
 
 
 if __name__ == "__main__":

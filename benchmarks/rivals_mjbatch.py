@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 from processor_time import Stopwatch, time_turn
+from rivals_inputs import BLOCK, EVALUATION_SEED, random_targets
 from worker_process import WorkerError, serve
 
 EXAMPLE = "go1_joystick"
@@ -30,12 +31,6 @@ NAMES = (
     *("CTRL_DT", "HORIZON", "NUM_ENVS", "STAND"),
 )
 """What the example must have."""
-EVALUATION_SEED = 7_000_003
-"""Seed of the robots on which policies are evaluated, other than the seeds of trainings."""
-TARGET_NOISE = 0.1
-"""Standard deviation of random motor angles around the standing pose [rad]."""
-_BLOCK = 64
-"""Number of different random targets, which are repeated."""
 _ROLLOUT = 10
 """Control steps in one call of `mujoco.rollout`, which plans ahead; the other layers receive one at a time."""
 
@@ -201,15 +196,14 @@ def _layer(
         compiled = example.build_model()
     finally:
         example.TIMESTEP = own_timestep
-    noise = np.random.default_rng(0).normal(0.0, TARGET_NOISE, (_BLOCK, num_envs, compiled.nu))
-    targets = example.STAND + noise
+    targets = random_targets(example.STAND, num_envs)
     if layer == "mjbatch":
         batch = example.Batch(compiled, num_envs, num_threads=threads)
         batch.reset(np.arange(num_envs), keyframe=0)
         ctrl = batch.bind("ctrl")
 
         def step(k: int) -> None:
-            ctrl[:] = targets[k % _BLOCK]
+            ctrl[:] = targets[k % BLOCK]
             batch.step(nstep=count)
     else:
         kind = mujoco.mjtState.mjSTATE_FULLPHYSICS

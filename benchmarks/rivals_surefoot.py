@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from processor_time import time_turn
+from rivals_inputs import BLOCK, EVALUATION_SEED, random_actions, random_targets
 from velocity_tracking import checkpoints
 from worker_process import WorkerError, serve
 
@@ -31,14 +32,6 @@ from surefoot.world.interface import WorldConfig
 from surefoot.world.sim_world import SimWorld
 
 TASK = "steer"
-EVALUATION_SEED = 7_000_003
-"""Seed of the robots on which policies are evaluated, other than the seeds of trainings."""
-TARGET_NOISE = 0.1
-"""Standard deviation of random motor angles around the resting pose, as in the rivals' turns [rad]."""
-ACTION_NOISE = 0.15
-"""Standard deviation of random actions: the exploration at the beginning of a training."""
-_BLOCK = 64
-"""Number of different random targets or actions, which are repeated."""
 
 
 def about(robots: list[str]) -> dict[str, str]:
@@ -90,17 +83,17 @@ def train(
         folder: where poses are written; see `rivals.command_errors`.
     """
     config, rows, previous = _config(robot, randomize, seed, threads), list[dict[str, Any]](), 0.0
-    for watch, learner in checkpoints(config, times):
+    for spent, watch, learner in checkpoints(config, times):
         point: dict[str, Any] = {**watch.times(), "samples": learner.steps}
         cases: dict[str, Ranges] = {"nominal": {}}
-        if any(previous < time <= watch.wall for time in randomized_at):
+        if any(previous < time <= spent for time in randomized_at):
             cases["randomized"] = config.task.randomize
         for case, ranges in cases.items():
             path = Path(folder) / f"{case}-{len(rows)}.npz"
             write_poses(learner, commands, seconds, ranges, path)
             point[case] = str(path)
         rows.append(point)
-        previous = watch.wall
+        previous = spent
     return rows
 
 
@@ -164,18 +157,17 @@ def _layer(layer: str, robot: str, timestep: float, num_envs: int, threads: int)
     env = LocomotionEnv(task, num_envs, SimWorld, 0, threads=threads)
     env.reset()
     physics_steps = num_envs * round(float(env.nominal.control_step[0]) / timestep)
-    rng = np.random.default_rng(0)
     if layer == "env":
-        actions = np.clip(rng.normal(0.0, ACTION_NOISE, (_BLOCK, *env.action_space.shape)), -1.0, 1.0)
+        actions = random_actions(*env.action_space.shape)
 
         def step(k: int) -> object:
-            return env.step(actions[k % _BLOCK])
+            return env.step(actions[k % BLOCK])
     else:
         world = SimWorld(env.robot, num_envs, env.nominal, config=WorldConfig(threads=threads))
-        targets = world.resting_angles + rng.normal(0.0, TARGET_NOISE, (_BLOCK, num_envs, env.robot.num_motors))
+        targets = random_targets(world.resting_angles, num_envs)
 
         def step(k: int) -> object:
-            return world.step(targets[k % _BLOCK])
+            return world.step(targets[k % BLOCK])
 
     step(0)
     return step, physics_steps

@@ -291,11 +291,8 @@ def record_accelerometers(name: str, robots: int) -> tuple[list[EpisodeTrace], R
     ranges, traces = load_ranges("table1", robot=robot.folder), []
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(100, 100 + robots):
-            params, file, commands = (
-                draw_hidden(robot, ranges, seed),
-                Path(folder, f"{seed}.toml"),
-                Path(folder, "c.csv"),
-            )
+            params = draw_hidden(robot, ranges, seed)
+            file, commands = Path(folder, f"{seed}.toml"), Path(folder, "commands.csv")
             write_params(file, robot, params)
             words: list[object] = ["--duration", DURATION]
             if task.commands.enabled:

@@ -94,8 +94,8 @@ def measure(learner: PpoLearner, episodes: int, within: Sequence[float] = ()) ->
     return {"falls": sum(trace.fell for trace in traces), "episodes": episodes, **named}
 
 
-def checkpoints(config: TrainConfig, times: Sequence[float]) -> Iterator[tuple[Stopwatch, PpoLearner]]:
-    """Train, and yield the learner and its time at the first update after each of some increasing times [s].
+def checkpoints(config: TrainConfig, times: Sequence[float]) -> Iterator[tuple[float, Stopwatch, PpoLearner]]:
+    """Train, and yield time [s], stopwatch and learner at the first update after each of some increasing times [s].
 
     The time includes building the models. With one thread it is processor time, with several wall time. It pauses while
     the caller uses the learner.
@@ -108,7 +108,7 @@ def checkpoints(config: TrainConfig, times: Sequence[float]) -> Iterator[tuple[S
         spent = watch.cpu if config.threads == 1 else watch.wall
         if spent >= left[0]:
             watch.stop()
-            yield watch, learner
+            yield spent, watch, learner
             left = [time for time in left if time > spent]
             watch.start()
 
@@ -118,8 +118,7 @@ def train(
 ) -> Iterator[dict[str, Any]]:
     """Train for some minutes, and yield the errors every `every` minutes; measuring is not included in the time."""
     times = [60 * every * (k + 1) for k in range(int(minutes / every + 1e-9))]
-    for watch, learner in checkpoints(config, times):
-        seconds = watch.cpu if config.threads == 1 else watch.wall
+    for seconds, _, learner in checkpoints(config, times):
         point = {"seconds": round(seconds, 1), "control_steps": learner.steps, **measure(learner, episodes)}
         if within:
             point |= {f"{name}_within": value for name, value in measure(learner, episodes, within).items()}

@@ -56,6 +56,8 @@ pytestmark = pytest.mark.timeout(900)
 MINITAUR = RobotDescription.load("minitaur")
 DAMPED_WITHIN = 0.100
 """Maximum time from a host's last command to damped motors, from the table [s]."""
+SUNK_WITHIN = 1.5
+"""Maximum time from damped motors to a robot at rest [s]; 0.35 and 0.7 s were measured."""
 LEAN = 0.03
 """Roll or pitch that counts as a fall for one of the policies [rad]; the trot tilts further in every stride."""
 AT_EASE = Mode.DISARMED, Reason.NONE
@@ -195,6 +197,7 @@ def damped_after(record: Record) -> float:
             break
         assert time.monotonic() < end, "the robot never missed its host, or it never came to rest"
         time.sleep(0.05)
+    assert since[-1].time - since[0].time < SUNK_WITHIN
     # It stays damped.
     assert {(state.message.mode, state.message.reason) for state in since} == {(Mode.FAULT, Reason.TIMEOUT)}
     after = since[0].message.command_age - (since[0].time - faults[-1].time)

@@ -90,6 +90,18 @@ def test_the_critic_learns_before_the_policy():
     assert not any(torch.equal(before, after) for before, after in pairwise(values))
 
 
+def test_a_state_for_resuming_is_not_changed_by_later_updates():
+    preset = load_train_config("trot")
+    learner = PpoLearner(replace(preset, num_envs=4, steps_per_update=10, threads=1, learning_threads=1), SimWorld)
+    state = learner.get_state()
+    next_metrics = learner.update()
+    learner.update()
+    learner.set_state(state)
+    again = learner.update()
+    assert again.value_loss == next_metrics.value_loss
+    assert again.std_mean == next_metrics.std_mean
+
+
 def test_with_symmetry_a_minibatch_runs_the_policy_once():
     preset = load_train_config("steer")
     ppo = replace(preset.ppo, symmetry=True, epochs=2, minibatches=3)

@@ -24,7 +24,7 @@ class Speedometer:
 
     def __init__(self, robot: RobotDescription, control_step: float, lead: float = 0.0) -> None:
         self._estimator, self._control_step = LeggedOdometry(robot), control_step
-        self._torque_delay, self._time = TorqueDelay(robot, lead), 0.0
+        self._torque_delay = TorqueDelay(robot, lead)
         self.velocity: Array = np.zeros(2)
         """Mean speeds forward and to the left over the last stride or so (2,) [m/s]."""
         self.distance = 0.0
@@ -35,8 +35,8 @@ class Speedometer:
         if not is_finite(state):
             return
         duration = steps * self._control_step
-        self._time += duration
-        readings = sensor_readings(state, self._time, self._torque_delay.update(state.motor_torque, duration))
+        # The estimator uses the duration and not the time.
+        readings = sensor_readings(state, 0.0, self._torque_delay.update(state.motor_torque, duration))
         estimate = self._estimator.update(motion_readings(readings, np.array([duration])))
         self.velocity += (1.0 - math.exp(-duration / SMOOTHING)) * (estimate.velocity_base[0, :2] - self.velocity)
         self.distance += float(np.hypot(*self.velocity)) * duration

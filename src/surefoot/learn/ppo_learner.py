@@ -7,6 +7,7 @@ import math
 import os
 import time
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -139,9 +140,9 @@ class PpoLearner:
         return export_policy(network, contract, path, robot=self.env.robot.archive)
 
     def get_state(self) -> dict[str, Any]:
-        """Return the state for an exact resume."""
+        """Return the state for an exact resume; later updates do not change it."""
         return {
-            "algorithm": self.algorithm.save(),
+            "algorithm": deepcopy(self.algorithm.save()),
             "learning_rate": self.algorithm.learning_rate,
             "torch": torch.get_rng_state(),
             "env": self.env.get_state(),
