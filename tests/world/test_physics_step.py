@@ -23,7 +23,7 @@ from surefoot.world.sim_world import SimWorld
         ("go2", 0.003, 0.003),
         ("go2", 0.001, 0.002),  # the data sheet's is longer
         ("minitaur", 0.004, 0.00105),  # stiff feet on light legs
-        ("pupper_v2", 0.004, 0.002),
+        ("pupper_v2", 0.004, 0.00197),
     ],
 )
 def test_a_step_is_as_long_as_asked_for_and_stable(name: str, longest: float, step: float) -> None:
@@ -35,23 +35,22 @@ def test_a_step_is_as_long_as_asked_for_and_stable(name: str, longest: float, st
 
 
 def test_a_longer_step_moves_the_robot_alike() -> None:
-    task = replace(load_task("steer", "go2")[0], start_linear_speed=0.0, start_angular_speed=0.0)
-    task = replace(task, commands=replace(task.commands, each=((0.6, 0.0, 0.2),), ramp=0))
+    task = replace(load_task("trot", "go2")[0], start_linear_speed=0.0, start_angular_speed=0.0)
     positions = []
     for step in (0.0, 0.004):
-        env = LocomotionEnv(replace(task, physics_step=step), 1, SimWorld, threads=1)
+        env = LocomotionEnv(replace(task, physics_step=step), 1, SimWorld, threads=1, autoreset=False)
+        assert isinstance(env.world, SimWorld)
         assert env.world.robot.timing.servo_step == (step or 0.002)
         env.reset()
         for _ in range(200):
             env.step(np.zeros((1, 12), np.float32))
         positions.append(env.state.truth.base_position_world[0])
-    # 3.2 s at about 0.6 m/s, with a turn of about 0.6 rad.
-    assert 1.2 < positions[0][0] < 2.2
-    np.testing.assert_allclose(positions[1], positions[0], atol=0.15)
+    assert positions[0][0] > 1.0  # the reference alone trots
+    np.testing.assert_allclose(positions[1], positions[0], atol=0.05)
 
 
 def test_a_step_out_of_bounds_is_rejected() -> None:
-    with pytest.raises(SurefootError, match="physics_step is 0.1"):
+    with pytest.raises(SurefootError, match=r"physics_step is 0\.1"):
         TaskConfig(physics_step=0.1)
-    with pytest.raises(SurefootError, match="physics_step is -0.001 s; it must be at least 0 and at most 0.02"):
+    with pytest.raises(SurefootError, match=r"physics_step is -0\.001 s; it must be at least 0 and at most 0\.02"):
         WorldConfig(physics_step=-0.001)
