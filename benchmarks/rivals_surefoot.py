@@ -114,6 +114,7 @@ def write_poses(
         commands=replace(config.task.commands, each=tuple(map(tuple, commands)), ramp=0),  # type: ignore[arg-type]
         pushes=PushConfig(enabled=False),
         randomize=ranges,
+        physics_step=0.0,
         max_steps=1_000_000,
     )
     env = LocomotionEnv(task, len(commands), SimWorld, EVALUATION_SEED, autoreset=False, threads=config.threads)

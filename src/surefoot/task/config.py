@@ -114,7 +114,7 @@ class TaskConfig:
     baseline."""
     physics_step: Annotated[float, Within(0, MAX_PHYSICS_STEP)] = 0.0
     """Maximum step of servos and physics in training [s]: robots use the longest stable step up to it, if it is longer
-    than their data sheet's. 0: the data sheet's, with which exported policies are evaluated."""
+    than their data sheet's. 0: the data sheet's, with which policies are evaluated."""
     thermal_protection: bool = False
     """Switch off motors that overheat."""
     start_linear_speed: Annotated[float, Within(0, 100)] = 0.05
