@@ -154,7 +154,7 @@ def turn(layer: str, robot: str, timestep: float, num_envs: int, threads: int, s
 @cache
 def _layer(layer: str, robot: str, timestep: float, num_envs: int, threads: int) -> tuple[Callable[[int], object], int]:
     """Return a function that runs the k-th control step of all robots, and the steps of physics in it."""
-    task = load_train_config(TASK, _with_timestep(robot, timestep)).task
+    task = replace(load_train_config(TASK, _with_timestep(robot, timestep)).task, physics_step=0.0)
     env = LocomotionEnv(task, num_envs, SimWorld, 0, threads=threads)
     env.reset()
     physics_steps = num_envs * round(float(env.nominal.control_step[0]) / timestep)

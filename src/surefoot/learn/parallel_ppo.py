@@ -164,7 +164,7 @@ class ParallelPPO(PPO):
                 inverse = torch.exp(-log_std)
                 if self.schedule == "adaptive":
                     with torch.no_grad():
-                        self._adapt_learning_rate(batch, mean[:, 0], log_std, inverse)
+                        self._adapt_learning_rate(batch, mean[:, 0], inverse)
                 rates.put(self.learning_rate)
                 log_prob = -0.5 * ((batch.actions - mean) * inverse).square().sum(-1) - log_std.sum() - constant
                 ratio = torch.exp(log_prob - batch.log_prob)
@@ -176,10 +176,14 @@ class ParallelPPO(PPO):
                 entropies += entropy.item()
         return losses, entropies
 
-    def _adapt_learning_rate(
-        self, batch: _PolicySamples, mean: torch.Tensor, log_std: torch.Tensor, inverse: torch.Tensor
-    ) -> None:
-        """Adapt the learning rate to the divergence of the old policy from the new one, of mean (B, A)."""
+    def _adapt_learning_rate(self, batch: _PolicySamples, mean: torch.Tensor, inverse: torch.Tensor) -> None:
+        """Adapt the learning rate to the divergence of the old policy from the new one.
+
+        Args:
+            batch: samples of the old policy.
+            mean: means of the new policy (B, A).
+            inverse: inverse of its standard deviations (A,).
+        """
         ratio = batch.std * inverse
         distance = ((batch.mean - mean) * inverse).square()
         divergence = float((0.5 * (ratio.square() + distance - 1.0) - ratio.log()).sum(-1).mean())
