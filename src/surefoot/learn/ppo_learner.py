@@ -73,7 +73,7 @@ class PpoLearner:
         return UpdateMetrics(
             **statistics.summarize(),
             steps=self.steps,
-            std_mean=float(self.policy.output_std.detach().mean()),
+            std_mean=float(self.policy.distribution.log_std_param.detach().exp().mean()),
             learning_rate=self.algorithm.learning_rate,
             value_loss=losses["value"],
             surrogate_loss=losses["surrogate"],
