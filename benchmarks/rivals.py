@@ -84,7 +84,7 @@ MAX_FALLS = 0.05
 """Fraction of robots that may fall if a policy is to count as having reached an error."""
 REPORTED = (60.0, 180.0)
 """Times of training at which errors are reported [s]."""
-FIRST, POINTS_PER_DOUBLING = 10.0, 6
+FIRST, POINTS_PER_DOUBLING = 10.0, 3
 """First point at which a policy is evaluated, at the earliest [s], and the number of points until the time doubles."""
 TIMESTEPS = (0.004, 0.002, 0.001)
 """Steps of the physics [s]."""
@@ -115,6 +115,8 @@ class Command:
     """Robots that surefoot trains: go1 is imported from the model, others are names or folders."""
     seeds: tuple[int, ...] = (0, 1, 2, 3, 4)
     """Seeds of the trainings."""
+    rival_seeds: tuple[int, ...] | None = None
+    """Seeds of mjbatch's trainings, which take longest. Defaults to `seeds`."""
     minutes: float = 4.0
     """Wall time of each of surefoot's trainings [min]."""
     rival_minutes: float = 12.0
@@ -352,6 +354,8 @@ def measure_learning(command: Command, robots: Mapping[str, str], idle: bool) ->
     for number, seed in enumerate(command.seeds):
         first = number % len(trainings)
         for training in trainings[first:] + trainings[:first]:
+            if training.system == "mjbatch" and seed not in (command.rival_seeds or command.seeds):
+                continue
             with tempfile.TemporaryDirectory(prefix="rivals-") as folder:
                 rows = [{**row, "idle": idle} for row in training.run(command, seed, folder)]
             if not rows:
@@ -488,7 +492,7 @@ def machine() -> dict[str, Any]:
 
 def quick(command: Command) -> Command:
     """Return the smallest command that runs every part, with the same rivals."""
-    small = {"seeds": command.seeds[:1], "commands": 8, "num_envs": 16, "rounds": 2, "turn": 0.05}
+    small = {"seeds": command.seeds[:1], "rival_seeds": None, "commands": 8, "num_envs": 16, "rounds": 2, "turn": 0.05}
     out = Path("runs/rivals-quick") if command.out == Command.out else command.out
     return replace(command, **small, minutes=0.2, rival_minutes=0.2, out=out)  # type: ignore[arg-type]
 

@@ -114,6 +114,7 @@ def write_poses(
         commands=replace(config.task.commands, each=tuple(map(tuple, commands)), ramp=0),  # type: ignore[arg-type]
         pushes=PushConfig(enabled=False),
         randomize=ranges,
+        physics_step=0.0,
         max_steps=1_000_000,
     )
     env = LocomotionEnv(task, len(commands), SimWorld, EVALUATION_SEED, autoreset=False, threads=config.threads)
@@ -153,7 +154,7 @@ def turn(layer: str, robot: str, timestep: float, num_envs: int, threads: int, s
 @cache
 def _layer(layer: str, robot: str, timestep: float, num_envs: int, threads: int) -> tuple[Callable[[int], object], int]:
     """Return a function that runs the k-th control step of all robots, and the steps of physics in it."""
-    task = load_train_config(TASK, _with_timestep(robot, timestep)).task
+    task = replace(load_train_config(TASK, _with_timestep(robot, timestep)).task, physics_step=0.0)
     env = LocomotionEnv(task, num_envs, SimWorld, 0, threads=threads)
     env.reset()
     physics_steps = num_envs * round(float(env.nominal.control_step[0]) / timestep)

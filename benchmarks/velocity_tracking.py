@@ -65,7 +65,7 @@ def fresh_commands(task: TaskConfig, control_step: float, within: Sequence[float
         aside, turns = (-sideways, sideways), (-turn, turn)
         commands = replace(commands, relative=False, forward=(low, high), sideways=aside, yaw_rate=turns)
     pushes = PushConfig(enabled=False)
-    return replace(task, commands=commands, pushes=pushes, max_steps=round(SECONDS / control_step))
+    return replace(task, commands=commands, pushes=pushes, physics_step=0.0, max_steps=round(SECONDS / control_step))
 
 
 def from_scratch(task: TaskConfig) -> TaskConfig:

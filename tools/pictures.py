@@ -2,8 +2,7 @@
 
 They are docs/hero.webp (animation of four policies), docs/gaits.png (moments of a stride), docs/leg-space.png
 (coordinates of a leg), docs/robots.png (released robots), docs/terrain.png and docs/terrain-seeing.png (policies on
-terrain), docs/learning.png (errors over minutes of training), and docs/robots-imported.png, from six folders of
-`surefoot robot new`.
+terrain), and docs/robots-imported.png, from six folders of `surefoot robot new`.
 """
 
 from __future__ import annotations
@@ -16,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from gallery import SECONDS, recorded
 from PIL import Image, ImageDraw
-from result_numbers import read_rows
 
 from surefoot.api.policies import find_policy, load_policy, run_policy
 from surefoot.evaluation.conditions import Condition
@@ -171,24 +169,6 @@ def leg_space(path: Path) -> None:
             axis.spines[:].set_visible(False)
 
 
-def learning(path: Path) -> None:
-    """Plot errors of Go2 trainings over minutes on two cores, one line per seed."""
-    runs = read_rows(RESULTS / "steer" / "learning.csv", {"robot": "go2", "start": "reference", "threads": "2"})
-    with new_figure(path, (7.2, 3.2), 1, 3) as (_, axes):
-        for axis, column, title in zip(
-            axes,
-            ("forward", "sideways", "yaw_rate"),
-            ("forward [m/s]", "sideways [m/s]", "yaw rate [rad/s]"),
-            strict=True,
-        ):
-            for seed in sorted({row["seed"] for row in runs}):
-                rows = [row for row in runs if row["seed"] == seed and row["randomize"] == "none"]
-                points = sorted((float(row["seconds"]) / 60, float(row[column])) for row in rows)
-                axis.plot(*zip(*points, strict=True), color=BLUE, marker="o", markersize=3, linewidth=1)
-            axis.set(title=title, xlabel="training [minutes]", xlim=(0, None), ylim=(0, None))
-        axes[0].set_ylabel("RMS error of the command")
-
-
 def portrait(robot: RobotDescription, size: tuple[int, int]) -> Image.Image:
     """Return a robot in its resting pose with its name."""
     level = poses(robot, np.zeros(3), [1.0, 0.0, 0.0, 0.0], robot.resting_angles)
@@ -226,7 +206,6 @@ if __name__ == "__main__":
     sheet([on_terrain("go2-terrain-seeing", one, (480, 300)) for one in HOLES], 2).save(FOLDER / "terrain-seeing.png")
     hero(FOLDER / "hero.webp", (420, 260))
     leg_space(FOLDER / "leg-space.png")
-    learning(FOLDER / "learning.png")
     sheet([*stride("gallop", (320, 240)), *stride("trot", (320, 240))], MOMENTS).save(FOLDER / "gaits.png")
     robots = [RobotDescription.load(name) for name in RobotDescription.available()]
     sheet([portrait(robot, (640, 360)) for robot in robots], 2).save(FOLDER / "robots.png")

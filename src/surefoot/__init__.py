@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from surefoot.api.results import Drive, Evaluation, Policy, Run, Video
     from surefoot.errors import SurefootError
 
-__version__ = "0.12.0"
+__version__ = "0.13.0"
 __all__ = [
     "Drive",
     "Evaluation",

@@ -102,19 +102,6 @@ def test_a_state_for_resuming_is_not_changed_by_later_updates():
     assert again.std_mean == next_metrics.std_mean
 
 
-def test_with_symmetry_a_minibatch_runs_the_policy_once():
-    preset = load_train_config("steer")
-    ppo = replace(preset.ppo, symmetry=True, epochs=2, minibatches=3)
-    learner = PpoLearner(
-        replace(preset, num_envs=6, steps_per_update=4, threads=1, learning_threads=1, ppo=ppo), SimWorld
-    )
-    passes: list[int] = []
-    learner.algorithm.actor.mlp.register_forward_hook(lambda _, inputs, __: passes.append(len(inputs[0])))
-    learner.update()
-    # 4 steps of 6 robots: 24 samples and their mirror images, in three minibatches, for two epochs.
-    assert [n for n in passes if n != 6] == [16] * 6
-
-
 @pytest.mark.parametrize("preset", ["trot-robust", "gallop-robust"])
 def test_robust_presets_randomize_table_1_and_contact_stiffness(preset):
     config: TrainConfig = load_train_config(preset)

@@ -16,7 +16,6 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import PPOConfig, TrainConfig, load_train_config
 from surefoot.learn.networks import make_algorithm
 from surefoot.learn.symmetry import (
-    MirrorAugmentation,
     MirrorSamples,
     is_half_period_shifted,
     mirror_columns,
@@ -98,7 +97,7 @@ def test_a_robot_whose_sides_differ_trains_with_mirrored_samples_up_to_half_a_pe
     observation, _ = env.reset()
     groups = {"policy": torch.from_numpy(observation), "privileged": torch.from_numpy(env.privileged())}
     algorithm = make_algorithm(config, env, TensorDict(groups, batch_size=[2]))
-    assert isinstance(algorithm.symmetry, MirrorAugmentation) is is_mirror
+    assert (algorithm.mirror is not None) is is_mirror
     note = symmetry_note(config)
     assert (note is None) is is_mirror
     if note is not None:
@@ -127,25 +126,12 @@ def trot_env() -> LocomotionEnv:
 
 
 def test_mirroring_twice_gives_the_sample(trot_env):
-    mirror = MirrorSamples(trot_env)
-    generator = torch.Generator().manual_seed(0)
-    width = trot_env.single_observation_space.shape[0]
-    obs = TensorDict(
-        {
-            "policy": torch.randn(5, width, generator=generator),
-            "privileged": torch.randn(5, trot_env.privileged().shape[1], generator=generator),
-        },
-        batch_size=[5],
-    )
-    actions = torch.randn(5, 8, generator=generator)
-    both, both_actions = mirror(None, obs, actions)
-    assert both.batch_size[0] == len(both_actions) == 10
-    for group, values in obs.items():
-        assert torch.equal(both[group][:5], values)
-        image = both[group][5:]
+    mirror, generator = MirrorSamples(trot_env), torch.Generator().manual_seed(0)
+    for group, width in (("policy", trot_env.single_observation_space.shape[0]), ("actions", 8)):
+        values = torch.randn(5, width, generator=generator)
+        image = mirror.mirror(group, values)
         assert not torch.equal(image, values)
         assert torch.equal(mirror.mirror(group, image), values)
-    assert mirror(None, None, actions)[0] is None
 
 
 def test_privileged_observations_have_column_names(trot_env):

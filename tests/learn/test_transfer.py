@@ -131,6 +131,7 @@ CHANGES: dict[str, Any] = {
     "params_source": {"file": "params.yaml"},
     "actuator": "constraint",
     "thermal_protection": True,
+    "physics_step": 0.002,
     "start_linear_speed": 0.1,
     "start_angular_speed": 0.2,
 }

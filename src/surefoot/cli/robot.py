@@ -73,7 +73,7 @@ def _new(argv: list[str]) -> int:
     command = parse(NewRobotCommand, argv, "surefoot robot new")
     from surefoot.report.drawing.robot_picture import save_robot_picture
     from surefoot.robot.importing.isolated_reader import read_robot
-    from surefoot.world.description_checks import longest_servo_step
+    from surefoot.world.physics_step import longest_servo_step
 
     imported = read_robot(command.file, command.forward, command.meshes)
     name = command.name or imported.name

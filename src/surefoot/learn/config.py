@@ -32,8 +32,8 @@ class PPOConfig:
     privileged_critic: bool = True
     """The critic also receives privileged observations: the true state of the simulation. Policies do not need it."""
     symmetry: bool = False
-    """Also learn from the mirror image of each sample, for reference gaits that are left-right symmetric. For robots
-    whose sides differ by more than 0.5 % of the leg length, mirrored samples are disabled with a note."""
+    """The policy also learns from the mirror image of each sample, for reference gaits that are left-right symmetric.
+    For robots whose sides differ by more than 0.5 % of the leg length, mirrored samples are disabled with a note."""
     init_std: Annotated[float, Within(0, 100, exclusive=True)] = 0.6
     """Initial standard deviation of normalized actions (-1 to 1)."""
     final_std: Annotated[float, Within(0, 100)] = 0.0
@@ -110,8 +110,7 @@ class TrainConfig:
     threads: Threads = 0
     """Threads of the simulation; 0 means one per core. Results do not depend on it."""
     learning_threads: Threads = 0
-    """Threads of the learning; 0 means one per core. Rounding depends on the number of threads, so set it to get the
-    same result on machines with different numbers of cores."""
+    """Threads of the learning, of which at most two are used; 0 means one per core. Results do not depend on it."""
     start_from: str | None = None
     """Warm start: folder of another run, whose final networks initialize this run. Layers and legs must be the same.
     Observations (matched by name) and history may be extended without changing actions, and bounds of the feedback may

@@ -41,13 +41,14 @@ class TrainingEvaluation:
 
 
 def _evaluation_task(config: TrainConfig) -> TaskConfig:
-    """Return the task of evaluations: most difficult terrain, no curriculum, and the reward of evaluations."""
+    """Return the task of evaluations: most difficult terrain, no curricula, own physics step, reward of evaluations."""
     task = config.task
     return replace(
         task,
         reward=config.evaluation_reward or task.reward,
         terrain=replace(task.terrain, start_level=task.terrain.levels - 1, curriculum=False),
         randomize_ramp=0,
+        physics_step=0.0,
         commands=replace(task.commands, ramp=0),
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, Protocol
@@ -17,7 +18,8 @@ from torch import nn
 from surefoot.errors import SurefootError
 from surefoot.learn.config import TrainConfig
 from surefoot.learn.gait_switch import GaitSwitchArchitecture
-from surefoot.learn.symmetry import MirrorAugmentation
+from surefoot.learn.parallel_ppo import ParallelPPO
+from surefoot.learn.symmetry import MirrorSamples
 from surefoot.robot.mirror import is_symmetric
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -64,7 +66,7 @@ def find_architecture(task: TaskConfig) -> Architecture | None:
     return next((one for one in ARCHITECTURES if one.applies_to(task)), None)
 
 
-def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorDict) -> PPO:
+def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorDict) -> ParallelPPO:
     """Return PPO with new networks, initialized with torch's global random generator.
 
     With `ppo.symmetry`, mirrored samples are used if the robot's sides are mirror images.
@@ -95,7 +97,7 @@ def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorD
     if architecture := find_architecture(config.task):
         make_mlp = partial(MLP, actor.obs_dim, actions, ppo.policy_hidden, ppo.activation)
         architecture.build(actor, env.observer.columns, make_mlp)
-    algorithm = PPO(
+    algorithm = ParallelPPO(
         actor,
         critic,
         RolloutStorage("rl", config.num_envs, config.steps_per_update, observation, [actions], "cpu"),
@@ -110,9 +112,9 @@ def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorD
         max_grad_norm=ppo.max_grad_norm,
         schedule=ppo.schedule,
         desired_kl=ppo.desired_kl,
+        mirror=MirrorSamples(env) if ppo.symmetry and is_symmetric(env.robot) else None,
+        threads=config.learning_threads or os.cpu_count() or 1,
     )
-    if ppo.symmetry and is_symmetric(env.robot):
-        algorithm.symmetry = MirrorAugmentation(env)
     algorithm.train_mode()
     return algorithm
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import math
-import os
 import time
 from collections.abc import Mapping
 from copy import deepcopy
@@ -39,7 +38,6 @@ class PpoLearner:
     def __init__(self, config: TrainConfig, make_world: SimulationFactory) -> None:
         self.config = config
         torch.manual_seed(config.seed)
-        self._threads = config.learning_threads or os.cpu_count() or 1
         self.env = LocomotionEnv(config.task, config.num_envs, make_world, config.seed, threads=config.threads)
         observation, _ = self.env.reset()
         self.observation = self._tensors(observation)
@@ -75,7 +73,7 @@ class PpoLearner:
         return UpdateMetrics(
             **statistics.summarize(),
             steps=self.steps,
-            std_mean=float(self.policy.output_std.detach().mean()),
+            std_mean=float(self.policy.distribution.log_std_param.detach().exp().mean()),
             learning_rate=self.algorithm.learning_rate,
             value_loss=losses["value"],
             surrogate_loss=losses["surrogate"],
@@ -108,7 +106,6 @@ class PpoLearner:
 
     def _learn(self) -> dict[str, float]:
         """Update the networks (only the critic in the first `value_updates`), and return the losses by name."""
-        torch.set_num_threads(self._threads)
         frozen = list(self.policy.parameters()) if self.update_count < self.config.ppo.value_updates else []
         values = [parameter.detach().clone() for parameter in frozen]
         losses: dict[str, float] = self.algorithm.update()

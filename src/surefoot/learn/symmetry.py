@@ -1,19 +1,16 @@
 """Left-right symmetry: data augmentation with mirrored samples for symmetric robots.
 
-Every sample is used twice in an update, unchanged and mirrored at the robot's sagittal plane (Mittal et al. 2024,
-"Symmetry Considerations for Learning Task Symmetric Robot Policies").
+The policy uses every sample twice in an update, unchanged and mirrored at the robot's sagittal plane (Mittal et al.
+2024, "Symmetry Considerations for Learning Task Symmetric Robot Policies").
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from rsl_rl.extensions import Symmetry
-from tensordict import TensorDict
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription, SerialLegs
@@ -139,7 +136,7 @@ def is_half_period_shifted(env: LocomotionEnv) -> bool:
 
 
 class MirrorSamples:
-    """Function for rsl_rl that appends the mirror images of samples.
+    """Mirror images of the policy's observations and actions.
 
     Args:
         env: environment of the samples.
@@ -152,7 +149,6 @@ class MirrorSamples:
         half_period = is_half_period_shifted(env)
         columns = {
             "policy": (env.observer.columns, env.task.history),
-            "privileged": (env.privileged_columns, 1),
             "actions": (env.gait.action_names, 1),
         }
         self._mirrors, motors = {}, mirror_motors(env.robot)
@@ -163,33 +159,6 @@ class MirrorSamples:
             self._mirrors[group] = (torch.from_numpy(sources), torch.from_numpy(np.tile(sign, times)))
 
     def mirror(self, group: str, values: torch.Tensor) -> torch.Tensor:
-        """Return the mirror image of the values (B, C) of a group: policy, privileged or actions."""
+        """Return the mirror image of the values (B, C) of a group: policy or actions."""
         source, sign = self._mirrors[group]
         return values[:, source] * sign
-
-    def __call__(
-        self, env: Any, obs: TensorDict | None, actions: torch.Tensor | None
-    ) -> tuple[TensorDict | None, torch.Tensor | None]:
-        """Return observations and actions with their mirror images appended."""
-        if obs is not None:
-            groups: dict[str, Any] = dict(obs.items())
-            both = {key: torch.cat([values, self.mirror(key, values)]) for key, values in groups.items()}
-            obs = TensorDict(both, batch_size=[2 * obs.batch_size[0]])
-        if actions is not None:
-            actions = torch.cat([actions, self.mirror("actions", actions)])
-        return obs, actions
-
-
-class MirrorAugmentation(Symmetry):
-    """Symmetry extension of rsl_rl with mirrored samples and without mirror loss.
-
-    Args:
-        env: environment of the samples; see `MirrorSamples`.
-    """
-
-    def __init__(self, env: LocomotionEnv) -> None:
-        super().__init__(env, MirrorSamples(env), use_data_augmentation=True)
-
-    def compute_loss(self, *_: Any) -> torch.Tensor:
-        """Return 0, to save rsl_rl another pass of the policy over each minibatch for a metric that is not used."""
-        return torch.zeros(())

@@ -22,6 +22,7 @@ from surefoot.task.pushes import PushConfig
 from surefoot.task.reference_config import REFERENCES, NoReferenceConfig, ReferenceField
 from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
 from surefoot.task.terrain import TerrainConfig
+from surefoot.world.interface import MAX_PHYSICS_STEP
 
 _PRESETS = Path(__file__).parent / "presets"
 
@@ -111,6 +112,9 @@ class TaskConfig:
     actuator: NoOption[Literal["dc", "constraint"]] = "dc"
     """dc: the robot's servo and motor model; constraint: the position motor of physics engines, the paper's
     baseline."""
+    physics_step: Annotated[float, Within(0, MAX_PHYSICS_STEP)] = 0.0
+    """Maximum step of servos and physics in training [s]: robots use the longest stable step up to it, if it is longer
+    than their data sheet's. 0: the data sheet's, with which policies are evaluated."""
     thermal_protection: bool = False
     """Switch off motors that overheat."""
     start_linear_speed: Annotated[float, Within(0, 100)] = 0.05

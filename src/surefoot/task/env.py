@@ -103,6 +103,7 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
             thermal_protection=task.thermal_protection,
             start_linear_speed=task.start_linear_speed,
             start_angular_speed=task.start_angular_speed,
+            physics_step=task.physics_step,
             torque_readings=task.needs_base_velocity,
             ground=tiles.ground,
             threads=self._threads,

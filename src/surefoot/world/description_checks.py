@@ -24,6 +24,7 @@ from surefoot.world.motor_load import (
     without_torque_limits,
 )
 from surefoot.world.mujoco_model import build_model, foot_geoms, resting_qpos
+from surefoot.world.physics_step import round_down, span, step_limits
 
 MAX_STANDING_TORQUE = 0.6
 """Maximum torque for standing, as a fraction of the motor's torque: a trot stands on half of the legs."""
@@ -40,8 +41,6 @@ STAND_TIME = 2.0
 _MIN_SATURATED_FRACTION = 0.5
 """Fraction of time at its torque limit above which a motor is the reason why a robot does not stand."""
 _TORQUE_REMEDY = "stand with straighter legs (leg_space.rest), or use stronger motors or a lighter robot"
-_MAX_DAMPER_STEP = 1.5
-"""Maximum step, in units of m / B, for a damper B that is computed at the start of the step; it is unstable above 2."""
 
 
 def run_description_checks(robot: RobotDescription) -> Iterator[CheckResult]:
@@ -53,28 +52,18 @@ def run_description_checks(robot: RobotDescription) -> Iterator[CheckResult]:
     yield check_sides(robot)
     yield _check_feet(robot, model)
     yield from _check_stand(robot, model)
-    frequencies, limits = _step_limits(robot, model)
+    frequencies, limits = step_limits(robot, model)
     yield CheckResult("frequencies", True, frequencies, value=math.sqrt(GRAVITY / robot.leg_geometry.length) / math.tau)
-    step, cause, longest = robot.timing.servo_step, min(limits, key=lambda name: limits[name]), _round_down(limits)
+    step, cause, longest = robot.timing.servo_step, min(limits, key=lambda name: limits[name]), round_down(limits)
     message = f"{1e3 * step:g} ms; at most {1e3 * limits[cause]:.2g} ms by {cause}"
     yield pass_if("physics step", step <= limits[cause], message, "", f"set timing.servo_step to {longest:g}", longest)
-
-
-def longest_servo_step(robot: RobotDescription) -> float:
-    """Return the longest stable physics step of a robot [s], rounded down."""
-    return _round_down(_step_limits(robot, build_model(robot))[1])
-
-
-def _round_down(limits: dict[str, float]) -> float:
-    """Return the smallest limit [s], rounded down to 0.01 ms."""
-    return max(math.floor(1e5 * min(limits.values())), 1) / 1e5
 
 
 def _check_torque_limits(robot: RobotDescription) -> CheckResult:
     if not isinstance(robot.actuator, JointActuatorData):
         return CheckResult("torque limits", True, "DC motors: limited by voltage and the torque-current curve")
     torque, unit = np.asarray(robot.actuator.torque_limit), robot.weight * robot.leg_geometry.length
-    message = f"{_span(torque)} N m, {_span(torque / unit)} m g l"
+    message = f"{span(torque)} N m, {span(torque / unit)} m g l"
     rule = f"; values over {MIN_PLACEHOLDER_TORQUE:g} m g l are placeholders"
     remedy = "set actuator.torque_limit to the actuator's real torque"
     real = bool((torque <= MIN_PLACEHOLDER_TORQUE * unit).all())
@@ -181,41 +170,3 @@ def _stands(load: MotorLoad, expected: float) -> bool:
     """Return whether a robot stands at the end, with its base at about the height `expected` [m]."""
     tilt, height = _tilt_and_height(load)
     return load.finished and tilt < MAX_TILT and height > (1 - MAX_SAG) * expected
-
-
-def _step_limits(robot: RobotDescription, model: mujoco.MjModel) -> tuple[str, dict[str, float]]:
-    """Return a message with the frequencies of legs, servos and feet, and the longest stable step [s] by cause."""
-    message = f"leg as a pendulum {math.sqrt(GRAVITY / robot.leg_geometry.length) / math.tau:.2f} Hz"
-    data = mujoco.MjData(model)
-    data.qpos[:] = resting_qpos(robot, model)
-    mujoco.mj_forward(model, data)
-    inertia = np.zeros((model.nv, model.nv))
-    mujoco.mj_fullM(model, data, inertia)
-    limits = {}
-    if isinstance(robot.actuator, JointActuatorData):
-        # Effective inertia of each motor's joint, with a free base.
-        dofs = [int(model.joint(name).dofadr[0]) for name in robot.motor_names]
-        turned = 1.0 / np.diag(np.linalg.inv(inertia))[dofs]
-        kp, kd, friction = map(np.asarray, (robot.actuator.kp, robot.actuator.kd, robot.actuator.friction))
-        servo, damping = np.sqrt(kp / turned), kd / (2 * np.sqrt(np.maximum(kp * turned, 1e-12)))
-        message += f", servos {_span(servo / math.tau)} Hz at damping ratios {_span(damping)}"
-        limits["the servos' damping"] = 0.5 * float(np.min(turned / np.maximum(kd, 1e-9)))
-        limits["the servos' stiffness"] = 0.3 / float(servo.max())
-        limits["Coulomb friction"] = 0.1 * float(np.min(turned / np.maximum(friction, 1e-9)))
-    masses = [_foot_mass(model, data, inertia, int(geom)) for geom in foot_geoms(robot, model)]
-    contact = math.sqrt(robot.contact.stiffness / min(masses))
-    limits["the feet's stiffness"] = 0.5 / contact
-    limits["the feet's damping"] = _MAX_DAMPER_STEP * min(masses) / robot.contact.damping
-    return f"{message}, feet on the ground {contact / math.tau:.0f} Hz", limits
-
-
-def _foot_mass(model: mujoco.MjModel, data: mujoco.MjData, inertia: Array, geom: int) -> float:
-    """Return the effective mass [kg] of a foot for vertical forces."""
-    jacobian = np.zeros((3, model.nv))
-    mujoco.mj_jac(model, data, jacobian, None, data.geom_xpos[geom], int(model.geom_bodyid[geom]))
-    return 1.0 / float(jacobian[2] @ np.linalg.solve(inertia, jacobian[2]))
-
-
-def _span(values: Array) -> str:
-    low, high = float(np.min(values)), float(np.max(values))
-    return f"{low:.3g}" if math.isclose(low, high, rel_tol=5e-3) else f"{low:.3g} to {high:.3g}"

@@ -19,6 +19,8 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.world.ground import FLAT, Ground
 
 ACTUATORS = ("dc", "constraint")
+MAX_PHYSICS_STEP = 0.02
+"""Maximum of `WorldConfig.physics_step` [s]."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,9 @@ class WorldConfig:
     """Ground."""
     threads: int = 0
     """Number of threads or processes; 0 means one per core."""
+    physics_step: float = 0.0
+    """Maximum step of servos and physics [s]: robots use the longest stable one up to it, if it is longer than their
+    data sheet's. 0: the data sheet's."""
 
     def __post_init__(self) -> None:
         """Reject contradictions and values out of bounds."""
@@ -102,6 +107,10 @@ class WorldConfig:
             raise SurefootError(f"actuator is '{self.actuator}'; {suggest(self.actuator, ACTUATORS)}")
         if self.threads < 0:
             raise SurefootError(f"threads is {self.threads}; it must be 0 (one per core) or more")
+        if not 0.0 <= self.physics_step <= MAX_PHYSICS_STEP:
+            raise SurefootError(
+                f"physics_step is {self.physics_step:g} s; it must be at least 0 and at most {MAX_PHYSICS_STEP:g}"
+            )
         if self.actuator == "constraint" and self.thermal_protection:
             raise SurefootError("thermal_protection is on; it requires actuator dc")
 

@@ -69,7 +69,12 @@ class SimWorld:
         first: int = 0,
     ) -> None:
         check_batch(num_envs, params)
-        self.robot, self.num_envs, self.config = robot, num_envs, config or WorldConfig()
+        self.num_envs, self.config = num_envs, config or WorldConfig()
+        if self.config.physics_step:
+            from surefoot.world.physics_step import with_physics_step  # imports MuJoCo
+
+            robot = with_physics_step(robot, self.config.physics_step)
+        self.robot = robot
         longest = max(robot.allowed["control_latency"][1], robot.allowed["servo_latency"][1])
         self._history = int(np.ceil(longest / robot.timing.servo_step)) + 2
         self.actuation = new_actuation(robot, num_envs, self._history, self.config)

@@ -1,0 +1,218 @@
+"""PPO's update for small networks on few cores: samples are prepared once, and policy and critic learn side by side."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields
+from queue import SimpleQueue
+from typing import Any, Self
+
+import torch
+from rsl_rl.algorithms import PPO
+from torch import nn
+
+from surefoot.learn.symmetry import MirrorSamples
+
+_LEARNING_RATES = (1e-5, 1e-2)
+"""Bounds of the adaptive learning rate, as in rsl_rl."""
+_LEARNING_RATE_FACTOR = 1.5
+"""Change of the learning rate when the divergence leaves half to twice its target, as in rsl_rl."""
+
+_NO_DIVERGENCE = 1e-6
+"""Divergence that may come from rounding: in the first minibatch of an update the policy is still the old one."""
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """Samples of a rollout, B rows in each field."""
+
+    def shuffle(self, order: torch.Tensor) -> Self:
+        """Return the samples in another order (B',)."""
+        return type(self)(*(getattr(self, field.name)[order] for field in fields(self)))
+
+    def batches(self, size: int) -> Iterator[Self]:
+        """Yield consecutive minibatches, as views."""
+        columns = (getattr(self, field.name).split(size) for field in fields(self))
+        return (type(self)(*values) for values in zip(*columns, strict=True))
+
+
+@dataclass(frozen=True)
+class _PolicySamples(_Samples):
+    """Samples for the policy. M is 2 with mirror images, which follow each sample, and otherwise 1."""
+
+    inputs: torch.Tensor
+    """Normalized inputs (B, M, O)."""
+    actions: torch.Tensor
+    """Actions (B, M, A)."""
+    log_prob: torch.Tensor
+    """Logarithm of the old policy's density at the actions (B, 1)."""
+    advantages: torch.Tensor
+    """Advantages (B, 1)."""
+    mean: torch.Tensor
+    """Means of the old policy (B, A), without mirror images."""
+    std: torch.Tensor
+    """Standard deviations of the old policy (B, A)."""
+
+
+@dataclass(frozen=True)
+class _ValueSamples(_Samples):
+    """Samples for the critic, without mirror images."""
+
+    inputs: torch.Tensor
+    """Normalized inputs (B, O)."""
+    values: torch.Tensor
+    """Values of the old critic (B, 1)."""
+    returns: torch.Tensor
+    """Returns (B, 1)."""
+
+
+class ParallelPPO(PPO):
+    """PPO of rsl_rl whose update takes about half the time for small networks on a CPU.
+
+    Policy and critic share neither parameters nor a loss, so they learn on two threads. Each operation uses one thread,
+    so results do not depend on the number of cores. Observations are normalized and mirrored once per update, because
+    the normalizers change only after it. Only the policy learns from mirror images: twice the samples for the critic
+    cost time, and policies were not better.
+
+    Args:
+        mirror: mirror images of samples, or None for none.
+        threads: threads of the learning; with 1, policy and critic learn one after the other.
+        settings: arguments of rsl_rl's PPO. The policy's distribution must be Gaussian, with a standard deviation that
+            does not depend on the observation and is learned as its logarithm.
+    """
+
+    learning_rate: float
+
+    def __init__(self, *args: Any, mirror: MirrorSamples | None = None, threads: int = 1, **settings: Any) -> None:
+        super().__init__(*args, **settings)
+        self.mirror = mirror
+        self._pool = None
+        if threads > 1:
+            self._pool = ThreadPoolExecutor(1, "critic", initializer=torch.set_num_threads, initargs=(1,))
+        # Both threads step their parameters in the one optimizer's state, which checkpoints hold.
+        self._optimizers = {
+            "actor": torch.optim.Adam(self.actor.parameters(), self.learning_rate),
+            "critic": torch.optim.Adam(self.critic.parameters(), self.learning_rate),
+        }
+        self._share_optimizer_state()
+
+    def _share_optimizer_state(self) -> None:
+        for optimizer in self._optimizers.values():
+            optimizer.state = self.optimizer.state
+
+    def load(self, loaded_dict: dict[str, Any], load_cfg: dict[str, bool] | None, strict: bool) -> bool:
+        """Load models and optimizer, see rsl_rl."""
+        loaded: bool = super().load(loaded_dict, load_cfg, strict)
+        self._share_optimizer_state()
+        return loaded
+
+    def update(self) -> dict[str, float]:
+        """Run the epochs of an update on the stored rollout, and return the mean losses by name."""
+        torch.set_num_threads(1)
+        store, minibatches = self.storage, self.num_mini_batches
+        size = store.num_envs * store.num_transitions_per_env // minibatches
+        order = torch.randperm(minibatches * size)
+        with torch.no_grad():
+            policy, value = self._policy_samples().shuffle(order), self._value_samples().shuffle(order)
+        rates: SimpleQueue[float | None] = SimpleQueue()
+        pending = self._pool.submit(self._learn_values, value, size, rates) if self._pool else None
+        try:
+            surrogate, entropy = self._learn_policy(policy, size, rates)
+        finally:
+            rates.put(None)  # ends the critic's learning, also if the policy's was interrupted
+        value_loss = pending.result() if pending else self._learn_values(value, size, rates)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.learning_rate
+        observations = store.observations.flatten(0, 1)
+        self.actor.update_normalization(observations)
+        self.critic.update_normalization(observations)
+        store.clear()
+        steps = self.num_learning_epochs * minibatches
+        return {"value": value_loss / steps, "surrogate": surrogate / steps, "entropy": entropy / steps}
+
+    def _policy_samples(self) -> _PolicySamples:
+        store, normalize = self.storage, self.actor.obs_normalizer
+        observations, actions = store.observations["policy"].flatten(0, 1), store.actions.flatten(0, 1)
+        inputs = [normalize(observations)]
+        chosen = [actions]
+        if self.mirror is not None:
+            inputs.append(normalize(self.mirror.mirror("policy", observations)))
+            chosen.append(self.mirror.mirror("actions", actions))
+        mean, std = (one.flatten(0, 1) for one in store.distribution_params or ())
+        log_prob, advantages = store.actions_log_prob.flatten(0, 1), store.advantages.flatten(0, 1)
+        return _PolicySamples(torch.stack(inputs, 1), torch.stack(chosen, 1), log_prob, advantages, mean, std)
+
+    def _value_samples(self) -> _ValueSamples:
+        store = self.storage
+        inputs = self.critic.get_latent(store.observations.flatten(0, 1))
+        return _ValueSamples(inputs, store.values.flatten(0, 1), store.returns.flatten(0, 1))
+
+    def _learn_policy(
+        self, samples: _PolicySamples, size: int, rates: SimpleQueue[float | None]
+    ) -> tuple[float, float]:
+        """Run the policy's epochs and pass on each learning rate; return the sums of losses and of entropies."""
+        network, parameter = self.actor.mlp, self.actor.distribution.log_std_param
+        limits = self.actor.distribution.log_std_range
+        actions = samples.actions.shape[-1]
+        constant, losses, entropies = 0.5 * actions * math.log(2 * math.pi), 0.0, 0.0
+        for _ in range(self.num_learning_epochs):
+            for batch in samples.batches(size):
+                mean = network(batch.inputs.flatten(0, 1)).unflatten(0, batch.inputs.shape[:2])
+                log_std = parameter.clamp(*limits)
+                inverse = torch.exp(-log_std)
+                if self.schedule == "adaptive":
+                    with torch.no_grad():
+                        self._adapt_learning_rate(batch, mean[:, 0], inverse)
+                rates.put(self.learning_rate)
+                log_prob = -0.5 * ((batch.actions - mean) * inverse).square().sum(-1) - log_std.sum() - constant
+                ratio = torch.exp(log_prob - batch.log_prob)
+                clipped = ratio.clamp(1.0 - self.clip_param, 1.0 + self.clip_param)
+                surrogate = -torch.min(batch.advantages * ratio, batch.advantages * clipped).mean()
+                entropy = log_std.sum() + constant + 0.5 * actions
+                self._step("actor", surrogate - self.entropy_coef * entropy, self.learning_rate)
+                losses += surrogate.item()
+                entropies += entropy.item()
+        return losses, entropies
+
+    def _adapt_learning_rate(self, batch: _PolicySamples, mean: torch.Tensor, inverse: torch.Tensor) -> None:
+        """Adapt the learning rate to the divergence of the old policy from the new one.
+
+        Args:
+            batch: samples of the old policy.
+            mean: means of the new policy (B, A).
+            inverse: inverse of its standard deviations (A,).
+        """
+        ratio = batch.std * inverse
+        distance = ((batch.mean - mean) * inverse).square()
+        divergence = float((0.5 * (ratio.square() + distance - 1.0) - ratio.log()).sum(-1).mean())
+        if divergence > 2.0 * self.desired_kl:
+            self.learning_rate = max(_LEARNING_RATES[0], self.learning_rate / _LEARNING_RATE_FACTOR)
+        elif _NO_DIVERGENCE < divergence < 0.5 * self.desired_kl:
+            self.learning_rate = min(_LEARNING_RATES[1], self.learning_rate * _LEARNING_RATE_FACTOR)
+
+    def _learn_values(self, samples: _ValueSamples, size: int, rates: SimpleQueue[float | None]) -> float:
+        """Run the critic's epochs with the learning rates of the policy's steps, and return the sum of losses."""
+        losses = 0.0
+        for _ in range(self.num_learning_epochs):
+            for batch in samples.batches(size):
+                if (rate := rates.get()) is None:
+                    return losses
+                values = self.critic.mlp(batch.inputs)
+                clipped = batch.values + (values - batch.values).clamp(-self.clip_param, self.clip_param)
+                errors = torch.max((values - batch.returns).square(), (clipped - batch.returns).square())
+                loss = errors.mean()
+                self._step("critic", self.value_loss_coef * loss, rate)
+                losses += loss.item()
+        return losses
+
+    def _step(self, name: str, loss: torch.Tensor, rate: float) -> None:
+        """Update the parameters of the network `name`."""
+        network: nn.Module = getattr(self, name)
+        optimizer = self._optimizers[name]
+        optimizer.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), self.max_grad_norm)
+        optimizer.param_groups[0]["lr"] = rate
+        optimizer.step()
