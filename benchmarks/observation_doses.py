@@ -164,25 +164,17 @@ def text(interval: Interval) -> str:
 def print_doses(rows: list[dict[str, Any]]) -> None:
     """Print means of groups over trainings, and the difference between 12-D and 4-D."""
 
-    def returns(group: str, kind: str, dose: float) -> list[float]:
-        return [
-            float(row["return"])
-            for row in rows
-            if row["group"] == group and row["kind"] == kind and float(row["dose"]) == dose
-        ]
-
-    def falls(group: str, kind: str, dose: float) -> int:
-        return sum(
-            int(row["falls"])
-            for row in rows
-            if row["group"] == group and row["kind"] == kind and float(row["dose"]) == dose
-        )
+    def values(column: str, group: str, kind: str, dose: float) -> list[float]:
+        """Return a column for each training of a group."""
+        place = (group, kind, dose)
+        return [float(row[column]) for row in rows if (row["group"], row["kind"], float(row["dose"])) == place]
 
     table = []
     for kind, doses in DOSES.items():
         for dose in doses:
             for small, large in (("small_plain", "large_plain"), ("small_randomized", "large_randomized")):
-                one, two = returns(small, kind, dose), returns(large, kind, dose)
+                one, two = values("return", small, kind, dose), values("return", large, kind, dose)
+                fallen = [sum(values("falls", group, kind, dose)) for group in (small, large)]
                 table.append(
                     {
                         "kind": kind,
@@ -191,21 +183,26 @@ def print_doses(rows: list[dict[str, Any]]) -> None:
                         "4-D (m)": text(t_interval(one)),
                         "12-D (m)": text(t_interval(two)),
                         "12-D less 4-D (m)": text(welch_interval(two, one)),
-                        "falls": f"{falls(small, kind, dose)}, {falls(large, kind, dose)}",
+                        "falls": f"{fallen[0]:g}, {fallen[1]:g}",
                     }
                 )
     print_table(table, "Mean return over trainings, with 95 % intervals", text_columns=3)
     print_table(
         [
-            {"gait": name, "kind": kind, "dose": f"{dose:g}", "return (m)": f"{returns(name, kind, dose)[0]:.2f}",
-             "falls": falls(name, kind, dose)}
+            {
+                "gait": name,
+                "kind": kind,
+                "dose": f"{dose:g}",
+                "return (m)": f"{values('return', name, kind, dose)[0]:.2f}",
+                "falls": f"{values('falls', name, kind, dose)[0]:g}",
+            }
             for name in RELEASED
             for kind in ("latency", "constant")
             for dose in DOSES[kind]
         ],
         "Released gaits",
         text_columns=3,
-    )  # fmt: skip
+    )
 
 
 if __name__ == "__main__":

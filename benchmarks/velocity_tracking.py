@@ -1,4 +1,4 @@
-r"""Tracking errors after some minutes of training from scratch on this computer.
+"""Tracking errors after some minutes of training from scratch on this computer.
 
 The time is from the start of training (models built, compiled code loaded) to its end; with one thread it is processor
 time, which other programs hardly change, with several threads it is wall time. Then the deterministic policy runs on
@@ -6,12 +6,10 @@ new commands, one per robot, with robots randomized as in training and without p
 first second. Errors are root mean squares of forward and sideways speed [m/s] and yaw rate [rad/s], of every control
 step and averaged over a stride. Episodes with a fall count up to the fall.
 
-    python benchmarks/velocity_tracking.py --seeds 0 1 2 --minutes 3 --every 0.5 --out results/steer/learning.csv
-    python benchmarks/velocity_tracking.py --seeds 0 1 2 --minutes 8 --every 0.5 --randomize table1 \
-        --out results/steer/learning.csv
+    python benchmarks/velocity_tracking.py --seeds 0 1 2 --minutes 3 --every 0.5 --out errors.csv
 
-write errors during training, one row per point, for `velocity_curves.py`. Complete runs in the file are kept; an
-interrupted one is trained again.
+writes errors during training, one row per point. Complete runs in the file are kept; an interrupted one is trained
+again.
 """
 
 from __future__ import annotations

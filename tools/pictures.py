@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDER, RESULTS = ROOT / "docs", ROOT / "results"
+FOLDER = ROOT / "docs"
 MOMENTS = 5
 GAP = 4
 """Space between pictures [px]."""
