@@ -1,7 +1,9 @@
 """Results of `robot new` and `robot check` on published robot files, one row per quadruped's file.
 
-Each robot also runs the untrained reference of `steer` for 6 s with 16 forward commands from a fifth of the maximum
-speed to the maximum; this gives falls, and the mean ratio of actual to commanded speed after 1.5 s.
+Each robot also runs the untrained reference of `steer` for 6 s, from standing. With 16 forward commands from a fifth of
+the maximum speed to the maximum, this gives falls, and the mean ratio of actual to commanded speed after 1.5 s. With 16
+commands drawn from the task's limits (forward, sideways and yaw rate) it gives errors: root mean squares, over robots
+and control steps after 1.5 s, of the planar velocity [m/s] and of the yaw rate [rad/s].
 
     python benchmarks/robot_files.py FOLDER... [--out TABLE.csv]
 
@@ -20,9 +22,12 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
+from surefoot.arrays import Array
+from surefoot.evaluation.tracking import mean_velocity
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import KNEE_SIGNS
 from surefoot.tables import markdown, write_csv
@@ -95,7 +100,7 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
     label = f"{path.name if collection else f'{path.parent.name}/{path.name}'}{note}"
     columns = (
         *("robot", "file", "legs", "knees", "mass", "foot_radius_mm", "known_radius_mm", "seconds", "check"),
-        *("untrained_falls", "untrained_speed"),
+        *("untrained_falls", "untrained_speed", "untrained_planar", "untrained_yaw_rate"),
     )
     if done.returncode not in (0, 3):
         error = (done.stderr.strip().splitlines() or ["no error"])[-1].split(f"{path}: ")[-1]
@@ -107,7 +112,7 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
     signs = [1 if leg.knee == "forward" else -1 for leg in robot.legs]
     report = json.loads(run("robot", "check", folder, "--json").stdout)
     failed = [item["name"] for item in report["checks"] if item["passed"] is False]
-    falls, speed = walk_untrained(folder)
+    walk = walk_untrained(folder)
     return dict(
         zip(
             columns,
@@ -121,33 +126,57 @@ def read_file(collection: str, path: Path, folder: Path) -> dict[str, str]:
                 "" if known is None else f"{1e3 * known:.3g} ({(low + high) / 2e3 / known - 1:+.0%})",
                 f"{seconds:.1f}",
                 "fails: " + ", ".join(failed) if failed else "passes",
-                str(falls),
-                f"{speed:.2f}",
+                str(walk.falls),
+                f"{walk.speed:.2f}",
+                f"{walk.planar:.3f}",
+                f"{walk.yaw_rate:.3f}",
             ),
             strict=True,
         )
     )
 
 
-def walk_untrained(folder: Path) -> tuple[int, float]:
-    """Return falls of 16 robots on the untrained reference of `steer`, and their speed relative to the command."""
+class UntrainedWalk(NamedTuple):
+    """What the untrained reference of `steer` does; see the beginning of this file."""
+
+    falls: int
+    speed: float
+    planar: float
+    yaw_rate: float
+
+
+def walk_untrained(folder: Path) -> UntrainedWalk:
+    """Run the untrained reference of `steer` with forward commands and with commands that are drawn."""
     task, _ = load_task("steer", str(folder))
     limits = task.commands.limits(RobotDescription.load(folder))
     assert limits is not None
-    speeds = np.linspace(0.2, 1.0, ROBOTS) * limits.high[0]
-    commands = replace(task.commands, each=tuple((float(speed), 0.0, 0.0) for speed in speeds))
-    env = LocomotionEnv(replace(task, commands=commands), ROBOTS, SimWorld, seed=1, autoreset=False, threads=1)
+    forward = np.outer(np.linspace(0.2, 1.0, ROBOTS) * limits.high[0], [1.0, 0.0, 0.0])
+    drawn = np.random.default_rng(1).uniform(limits.low, limits.high, (ROBOTS, 3))
+    each = np.concatenate([forward, drawn])
+    commands = replace(task.commands, each=tuple((float(x), float(y), float(yaw)) for x, y, yaw in each), ramp=0)
+    env = LocomotionEnv(replace(task, commands=commands), len(each), SimWorld, seed=1, autoreset=False, threads=1)
     env.reset()
     step = float(env.world.params.control_step[0])
     first, count = round(SETTLING / step), round(DURATION / step)
-    fell, zero = np.zeros(ROBOTS, bool), np.zeros((ROBOTS, len(env.gait.action_names)))
+    fell, zero = np.zeros(len(each), bool), np.zeros((len(each), len(env.gait.action_names)))
+    positions, quats = list[Array](), list[Array]()
     for k in range(count):
         _, _, terminated, _, _ = env.step(zero)
         fell |= terminated
-        if k == first:
-            start = env.state.truth.base_position_world[:, 0].copy()
-    moved = env.state.truth.base_position_world[:, 0] - start
-    return int(fell.sum()), float((moved / ((count - 1 - first) * step) / speeds).mean())
+        if k >= first:
+            positions.append(env.state.truth.base_position_world.copy())
+            quats.append(env.state.truth.base_quat_world.copy())
+    position, quat = np.array(positions), np.array(quats)
+    moved = (position[-1] - position[0])[:ROBOTS, 0]
+    durations = np.full(len(position) - 1, step)
+    errors = [mean_velocity(durations, position[:, i], quat[:, i]) - each[i] for i in range(ROBOTS, len(each))]
+    x, y, yaw = np.sqrt(np.mean(np.square(errors), axis=(0, 1)))
+    return UntrainedWalk(
+        int(fell[:ROBOTS].sum()),
+        float((moved / durations.sum() / forward[:, 0]).mean()),
+        float(np.hypot(x, y)),
+        float(yaw),
+    )
 
 
 def is_version(robot: str, name: str) -> bool:
