@@ -2,8 +2,8 @@
 
 Each robot also runs the untrained reference of `steer` for 6 s, from standing. With 16 forward commands from a fifth of
 the maximum speed to the maximum, this gives falls, and the mean ratio of actual to commanded speed after 1.5 s. With 16
-commands drawn from the task's limits (forward, sideways and yaw rate) it gives errors: root mean squares, over robots
-and control steps after 1.5 s, of the planar velocity [m/s] and of the yaw rate [rad/s].
+commands drawn from the task's limits (forward, sideways and yaw rate) it gives the planar error [m/s] and the error of
+the yaw rate [rad/s], as `rivals.command_errors` defines them; errors count up to a fall.
 
     python benchmarks/robot_files.py FOLDER... [--out TABLE.csv]
 
@@ -25,9 +25,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from rivals import command_errors
 
-from surefoot.arrays import Array
-from surefoot.evaluation.tracking import mean_velocity
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import KNEE_SIGNS
 from surefoot.tables import markdown, write_csv
@@ -153,29 +152,27 @@ def walk_untrained(folder: Path) -> UntrainedWalk:
     forward = np.outer(np.linspace(0.2, 1.0, ROBOTS) * limits.high[0], [1.0, 0.0, 0.0])
     drawn = np.random.default_rng(1).uniform(limits.low, limits.high, (ROBOTS, 3))
     each = np.concatenate([forward, drawn])
-    commands = replace(task.commands, each=tuple((float(x), float(y), float(yaw)) for x, y, yaw in each), ramp=0)
+    commands = replace(task.commands, each=tuple((float(x), float(y), float(yaw)) for x, y, yaw in each))
     env = LocomotionEnv(replace(task, commands=commands), len(each), SimWorld, seed=1, autoreset=False, threads=1)
     env.reset()
     step = float(env.world.params.control_step[0])
     first, count = round(SETTLING / step), round(DURATION / step)
     fell, zero = np.zeros(len(each), bool), np.zeros((len(each), len(env.gait.action_names)))
-    positions, quats = list[Array](), list[Array]()
-    for k in range(count):
+    positions, quats = [env.state.truth.base_position_world.copy()], [env.state.truth.base_quat_world.copy()]
+    for _ in range(count):
         _, _, terminated, _, _ = env.step(zero)
         fell |= terminated
-        if k >= first:
-            positions.append(env.state.truth.base_position_world.copy())
-            quats.append(env.state.truth.base_quat_world.copy())
-    position, quat = np.array(positions), np.array(quats)
-    moved = (position[-1] - position[0])[:ROBOTS, 0]
-    durations = np.full(len(position) - 1, step)
-    errors = [mean_velocity(durations, position[:, i], quat[:, i]) - each[i] for i in range(ROBOTS, len(each))]
-    x, y, yaw = np.sqrt(np.mean(np.square(errors), axis=(0, 1)))
+        positions.append(env.state.truth.base_position_world.copy())
+        quats.append(env.state.truth.base_quat_world.copy())
+    poses = {"position": np.array(positions)[:, ROBOTS:], "quat": np.array(quats)[:, ROBOTS:]}
+    poses["time"] = np.repeat(step * np.arange(count + 1)[:, None], ROBOTS, axis=1)
+    errors = command_errors(poses, drawn)
+    moved = (positions[-1] - positions[first + 1])[:ROBOTS, 0]
     return UntrainedWalk(
         int(fell[:ROBOTS].sum()),
-        float((moved / durations.sum() / forward[:, 0]).mean()),
-        float(np.hypot(x, y)),
-        float(yaw),
+        float((moved / ((count - 1 - first) * step) / forward[:, 0]).mean()),
+        errors["planar"],
+        errors["yaw_rate"],
     )
 
 
