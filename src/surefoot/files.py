@@ -7,6 +7,7 @@ import json
 import os
 import re
 import stat
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +63,11 @@ def remove_abandoned(folder: Path) -> None:
 
 
 def atomic_write(path: Path, content: str | bytes) -> None:
-    """Write a file atomically: it is renamed to `path` once its content is on the disk."""
-    partial = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    """Write a file atomically: it is renamed to `path` once its content is on the disk.
+
+    Several threads and processes may write the same file at once; the last one stays.
+    """
+    partial = path.with_name(f".{path.name}.{threading.get_ident()}.{os.getpid()}.tmp")
     try:
         with partial.open("wb") as file:
             file.write(content.encode() if isinstance(content, str) else content)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -50,6 +51,27 @@ def test_other_motors_have_their_own_robot_description(tmp_path: Path) -> None:
     wrong = replace(ROBOTS, other_motors=OtherMotors((202,), {"torque_table_current": [0.0, 1.0]}))
     with pytest.raises(SurefootError, match="torque_table_current has 2 points"):
         wrong.description(202, tmp_path / "wrong")
+
+
+def test_identifications_in_parallel_make_one_robot_description(tmp_path: Path) -> None:
+    count, failures, barrier = 16, list[BaseException](), threading.Barrier(16)
+
+    def make(folder: Path) -> None:
+        try:
+            barrier.wait()
+            robot = RobotDescription.load(ROBOTS.description(202, folder))
+            assert robot.dc_motor.voltage_clip == 6.0  # never the motors of the data sheet, not even for a moment
+        except BaseException as error:
+            failures.append(error)
+
+    for attempt in range(5):
+        threads = [threading.Thread(target=make, args=(tmp_path / str(attempt),)) for _ in range(count)]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        assert not failures
+        assert not list((tmp_path / str(attempt)).rglob("*.tmp"))
 
 
 def test_trainings_take_parameters_by_name_or_group_and_never_the_controllers(tmp_path: Path) -> None:

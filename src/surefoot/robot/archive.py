@@ -133,11 +133,23 @@ def folder_digest(files: Mapping[str, bytes]) -> str:
     return total.hexdigest()
 
 
-def copy_robot(folder: Path, target: Path) -> None:
-    """Copy the files that an archive would contain to another folder; see `robot_files` for errors."""
-    for name, content in robot_files(folder).items():
+def copy_robot(folder: Path, target: Path, data_sheet: str | None = None) -> None:
+    """Copy the files that an archive would contain to another folder; see `robot_files` for errors.
+
+    Only missing or different files are written, each atomically, so several threads and processes may make the same
+    copy at once.
+
+    Args:
+        folder: the robot's folder.
+        target: folder of the copy.
+        data_sheet: content of the copy's data sheet; defaults to the robot's own.
+    """
+    files = robot_files(folder)
+    if data_sheet is not None:
+        files[DATA_SHEET] = data_sheet.encode()
+    for name, content in files.items():
         (target / name).parent.mkdir(parents=True, exist_ok=True)
-        atomic_write(target / name, content)
+        _write_changed(target / name, content)
 
 
 def _resolve_inside(folder: Path, name: str) -> Path:
@@ -187,6 +199,11 @@ def _write(folder: Path, files: Mapping[str, bytes]) -> Path:
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(mode=0o700, exist_ok=True)
-        if not path.is_file() or path.read_bytes() != content:
-            atomic_write(path, content)
+        _write_changed(path, content)
     return folder
+
+
+def _write_changed(path: Path, content: bytes) -> None:
+    """Write a file atomically unless it already has this content."""
+    if not path.is_file() or path.read_bytes() != content:
+        atomic_write(path, content)

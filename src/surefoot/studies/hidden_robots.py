@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 from surefoot.configuration import Seed, Within, read_toml, to_mapping
 from surefoot.errors import SurefootError, choices, suggest
-from surefoot.files import atomic_write
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.archive import DATA_SHEET, copy_robot
 from surefoot.robot.params import CONTROLLER_PARAMETERS, PARAMETER_GROUPS, PARAMETERS
@@ -83,9 +82,7 @@ class HiddenRobots:
         source = RobotDescription.load(self.robot).folder
         data, _ = read_toml(source / DATA_SHEET)
         text = tomli_w.dumps({**data, "actuator": {**data["actuator"], **self.other_motors.actuator}})
-        if not (folder / DATA_SHEET).is_file() or (folder / DATA_SHEET).read_text(encoding="utf-8") != text:
-            copy_robot(source, folder)
-            atomic_write(folder / DATA_SHEET, text)
+        copy_robot(source, folder, text)
         RobotDescription.load(folder)  # raises if the motors are invalid
         return str(folder.absolute())
 
