@@ -10,15 +10,12 @@ an interpreter that has it and torch. Without them only surefoot is measured. `g
 **Learning.** Rivals train in turns, one training at a time, each in its own process with `--threads` threads: mjbatch's
 example `go1_joystick.py` unchanged, and surefoot's task `steer` with `--randomize table1`. The clock is wall time from
 the construction of the robots on, with modules imported and surefoot's compiled code on the disk; evaluations are not
-counted. At points of this clock the deterministic policy follows 128 commands for 6 s from standing, one per robot, the
-same for all: forward -0.5 to 1 m/s, sideways up to 0.4 m/s and yaw rates up to 0.8 rad/s to both sides, uniformly
-drawn. Errors are root mean squares, over robots and control steps, of the mean velocity in a control step from the
-motion of the base, in the heading frame, minus the command; the first 1.5 s are left out. The planar error is the root
-of the sum of squares of the forward and the sideways error. A fall is a roll or pitch of more than 0.5 rad, or a
-simulation that diverges; errors count up to it. Each side is evaluated in its own simulation. surefoot's robots
-follow the data sheet, and at 60 s, 180 s and the end also the ranges of the training. mjbatch's robots are randomized
-as in its training (floor friction 0.4 to 1, joints up to 0.1 rad from its pose), and its policy observes the true
-velocity of the base.
+counted. At points of this clock the deterministic policy follows 128 commands, one per robot, the same for all:
+forward -0.5 to 1 m/s, sideways up to 0.4 m/s and yaw rates up to 0.8 rad/s to both sides, uniformly drawn. Errors and
+falls are those of `command_following`. Each side is evaluated in its own simulation. surefoot's robots follow the data
+sheet; at 60 s, 180 s and the end there are two more evaluations, with robots in the ranges of the training, and with
+commands from the whole range of the task. mjbatch's robots are randomized as in its training (floor friction 0.4 to 1,
+joints up to 0.1 rad from its pose), and its policy observes the true velocity of the base.
 
 **Throughput.** Layers take turns on the Go1 at physics steps of 4, 2 and 1 ms with 1 and 2 threads: `mjbatch`
 (`Batch.step` on its example's model alone, without observations and reward) and `rollout` (`mujoco.rollout` on the
@@ -55,29 +52,25 @@ from typing import Any, Literal
 
 import numpy as np
 import tyro
+from command_following import SECONDS, command_errors, draw_commands
 from processor_time import TooBusy, check_idle
 from rounds import measure, ratio_quartiles
 from worker_process import Worker, WorkerError
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.evaluation.tracking import mean_velocity
 from surefoot.files import atomic_write
 from surefoot.report.figures.style import COLORS, QUIET, new_figure
-from surefoot.robot.commands import COMMANDS
-from surefoot.rotations import quat_matrix
+from surefoot.robot import RobotDescription
 from surefoot.tables import print_table, write_csv
+from surefoot.task.config import load_task
 
 Part = Literal["throughput", "learning"]
 Run = list[dict[str, Any]]
 """Rows of one training, in order of time."""
 
 LOW, HIGH = np.array([-0.5, -0.4, -0.8]), np.array([1.0, 0.4, 0.8])
-"""Ranges of commands: forward and sideways speed [m/s] and yaw rate [rad/s]."""
-SECONDS, SETTLED = 6.0, 1.5
-"""Duration of a command, and its beginning that is left out [s]."""
-FALL_ANGLE = 0.5
-"""Roll or pitch from which a robot has fallen [rad]."""
+"""Ranges of commands that all follow: forward and sideways speed [m/s] and yaw rate [rad/s]."""
 LIMITS = (0.3, 0.2, 0.1)
 """Planar errors [m/s] whose times are reported."""
 MAX_FALLS = 0.05
@@ -92,9 +85,10 @@ ENVPOOL_TIMESTEP = 0.004
 """Step of the physics in EnvPool's environment [s]."""
 BASE = "mjbatch"
 """Layer to which others are compared."""
-RANDOMIZE = "table1"
-"""Randomization of surefoot's trainings."""
-COMMAND_SEED = 63
+TASK, RANDOMIZE = "steer", "table1"
+"""Task and randomization of surefoot's trainings."""
+CASES = ("randomized", "whole_range")
+"""Evaluations of surefoot's policies at some points only, with other robots or other commands than all others."""
 
 
 @dataclass(frozen=True)
@@ -139,11 +133,6 @@ class Command:
     """Only see whether all parts work: seconds of training, few commands and turns; written to runs/rivals-quick."""
 
 
-def draw_commands(number: int) -> Array:
-    """Return random commands (number, 3) [m/s, m/s, rad/s], always the same."""
-    return np.round(np.random.default_rng(COMMAND_SEED).uniform(LOW, HIGH, (number, 3)), 4)
-
-
 def checkpoint_times(last: float) -> list[float]:
     """Return the times of a training at which it is evaluated, evenly spaced in their logarithm, up to `last` [s].
 
@@ -153,36 +142,6 @@ def checkpoint_times(last: float) -> list[float]:
     count = math.floor(POINTS_PER_DOUBLING * math.log2(last / REPORTED[0]) + 1e-9) + 1
     times = {round(REPORTED[0] * 2 ** (k / POINTS_PER_DOUBLING), 1) for k in range(first, count)}
     return sorted({*times, *(time for time in REPORTED if time <= last), last})
-
-
-def command_errors(poses: Mapping[str, Array], commands: Array) -> dict[str, Any]:
-    """Return the errors of robots that follow one command each; see the protocol at the top.
-
-    Args:
-        poses: time (T + 1, N) [s] from the beginning of the commands, position (T + 1, N, 3) [m] and quat (T + 1, N, 4)
-            of the base in the world frame, w x y z. Poses after the end of a robot's run repeat the last time.
-        commands: (N, 3) [m/s, m/s, rad/s].
-
-    Returns:
-        Number of falls and of robots, errors by command, and the planar error [m/s, rad/s]; NaN without data.
-    """
-    falls, errors = 0, [np.empty((0, 3))]
-    for i, command in enumerate(commands):
-        time, position, quat = (poses[name][:, i] for name in ("time", "position", "quat"))
-        step = np.diff(time)
-        up = quat_matrix(quat)[:, 2]  # the vertical in the base frame
-        pitch, roll = np.arcsin(np.clip(up[:, 0], -1.0, 1.0)), np.arctan2(up[:, 1], up[:, 2])
-        tilted = np.maximum(np.abs(pitch), np.abs(roll)) > FALL_ANGLE
-        end = int(tilted.argmax()) if tilted.any() else 1 + int(np.count_nonzero(step > 0))
-        falls += bool(tilted.any() or time[end - 1] < SECONDS - step[step > 0].max(initial=0.0))
-        if end < 2:
-            continue
-        measured = mean_velocity(step[: end - 1], position[:end], quat[:end]) - command
-        errors.append(measured[time[: end - 1] >= SETTLED - 1e-9])
-    whole = np.concatenate(errors)
-    rmse = np.sqrt((whole**2).mean(axis=0)) if len(whole) else np.full(3, np.nan)
-    named = dict(zip(COMMANDS, rmse.round(4).tolist(), strict=True))
-    return {"falls": falls, "episodes": len(commands), **named, "planar": round(float(np.hypot(rmse[0], rmse[1])), 4)}
 
 
 def first_below(run: Run, limit: float) -> float:
@@ -314,30 +273,51 @@ class Training:
 
     def run(self, command: Command, seed: int, folder: str) -> list[dict[str, Any]]:
         """Train in a process of its own, and return one row per point; poses are written to a folder."""
-        commands = draw_commands(command.commands)
+        commands = draw_commands(command.commands, LOW, HIGH)
         last = 60 * (command.minutes if self.system == "surefoot" else command.rival_minutes)
         arguments: dict[str, Any] = {
             "seed": seed, "threads": command.threads, "times": checkpoint_times(last),
             "commands": commands.tolist(), "seconds": SECONDS, "folder": folder,
         }  # fmt: skip
+        cases: dict[str, Array] = {}
         if self.system == "surefoot":
-            more = {"robot": self.folder, "randomize": RANDOMIZE}
+            cases = {"randomized": commands, "whole_range": draw_task_commands(self.folder, command.commands)}
+            more: dict[str, Any] = {
+                "robot": self.folder, "randomize": RANDOMIZE, "cases_at": [*REPORTED, last],
+                "cases": {name: wanted.tolist() for name, wanted in cases.items()},
+            }  # fmt: skip
             with Worker(sys.executable, "rivals_surefoot.py", command.threads) as worker:
-                points = worker.ask("train", **arguments, **more, randomized_at=[*REPORTED, last])
+                points = worker.ask("train", **arguments, **more)
         else:
             more = {"clone": str(command.mjbatch), "model": str(command.model)}
             with Worker(command.mjbatch_python, "rivals_mjbatch.py", command.threads) as worker:
                 points = worker.ask("train", **arguments, **more)
         about = {"system": self.system, "robot": self.robot, "seed": seed, "threads": command.threads}
-        return [about | read_point(point, commands) for point in points]
+        return [about | read_point(point, commands, cases) for point in points]
 
 
-def read_point(point: Mapping[str, Any], commands: Array) -> dict[str, Any]:
-    """Return the row of a point: its times and the errors from the poses that it names."""
+def draw_task_commands(robot: str, number: int) -> Array:
+    """Return random commands (number, 3) [m/s, m/s, rad/s] over the whole range of the task of a robot."""
+    task, _ = load_task(TASK, robot)
+    limits = task.commands.limits(RobotDescription.load(robot))
+    assert limits is not None
+    return draw_commands(number, limits.low, limits.high)
+
+
+def read_point(point: Mapping[str, Any], commands: Array, cases: Mapping[str, Array]) -> dict[str, Any]:
+    """Return the row of a point: its times and the errors from the poses that it names.
+
+    Args:
+        point: a point of a training, from its process.
+        commands: commands of its evaluation (N, 3) [m/s, m/s, rad/s].
+        cases: commands of the evaluations that only some points have.
+    """
     row = {name: point[name] for name in ("seconds", "cpu_seconds", "other_cores", "samples")}
     row |= command_errors(np.load(point["nominal"]), commands)
-    randomized = command_errors(np.load(point["randomized"]), commands) if "randomized" in point else {}
-    return row | {f"{name}_randomized": randomized.get(name) for name in ("falls", "planar", "yaw_rate")}
+    for case in CASES:
+        errors = command_errors(np.load(point[case]), cases[case]) if case in point else {}
+        row |= {f"{name}_{case}": errors.get(name) for name in ("falls", "planar", "yaw_rate")}
+    return row
 
 
 def measure_learning(command: Command, robots: Mapping[str, str], idle: bool) -> Iterator[list[dict[str, Any]]]:
@@ -387,8 +367,9 @@ def run_row(name: str, seed: int, run: Run) -> dict[str, Any]:
     for time in REPORTED:
         # The first point at or after this time is the first update after it.
         point = next((one for one in run if one["seconds"] >= time), None)
-        for column in ("planar", "yaw_rate", "falls", "planar_randomized", "yaw_rate_randomized", "falls_randomized"):
-            row[f"{column}_at_{time:g}"] = None if point is None else point[column]
+        for case in ("", *(f"_{case}" for case in CASES)):
+            for column in (f"{name}{case}" for name in ("planar", "yaw_rate", "falls")):
+                row[f"{column}_at_{time:g}"] = None if point is None else point[column]
     last = run[-1]
     row |= {"samples_per_second": round(last["samples"] / last["seconds"])}
     row |= {"cores": round(last["cpu_seconds"] / last["seconds"], 2)}

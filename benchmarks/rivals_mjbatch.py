@@ -96,7 +96,7 @@ def train(
         times: wall times of training [s].
         commands: a command for each evaluated robot [m/s, m/s, rad/s].
         seconds: duration of a command [s].
-        folder: where poses are written; see `rivals.command_errors`.
+        folder: where poses are written; see `command_following.command_errors`.
 
     Returns:
         One row per point; fewer than times if the example's own number of iterations ends earlier.

@@ -66,7 +66,8 @@ def train(
     times: list[float],
     commands: list[tuple[float, float, float]],
     seconds: float,
-    randomized_at: list[float],
+    cases: dict[str, list[tuple[float, float, float]]],
+    cases_at: list[float],
     folder: str,
 ) -> list[dict[str, Any]]:
     """Train, and write what the deterministic policy does at points of the training's clock; return one row per point.
@@ -79,18 +80,19 @@ def train(
         times: wall times of training [s].
         commands: a command for each evaluated robot [m/s, m/s, rad/s].
         seconds: duration of a command [s].
-        randomized_at: times at which policies are also evaluated on randomized robots [s].
-        folder: where poses are written; see `rivals.command_errors`.
+        cases: commands of further evaluations by name: `randomized` is one of robots in the ranges of the training.
+        cases_at: times at which policies are evaluated in these cases too [s].
+        folder: where poses are written; see `command_following.command_errors`.
     """
     config, rows, previous = _config(robot, randomize, seed, threads), list[dict[str, Any]](), 0.0
     for spent, watch, learner in checkpoints(config, times):
         point: dict[str, Any] = {**watch.times(), "samples": learner.steps}
-        cases: dict[str, Ranges] = {"nominal": {}}
-        if any(previous < time <= spent for time in randomized_at):
-            cases["randomized"] = config.task.randomize
-        for case, ranges in cases.items():
+        wanted = {"nominal": commands}
+        if any(previous < time <= spent for time in cases_at):
+            wanted |= cases
+        for case, own in wanted.items():
             path = Path(folder) / f"{case}-{len(rows)}.npz"
-            write_poses(learner, commands, seconds, ranges, path)
+            write_poses(learner, own, seconds, config.task.randomize if case == "randomized" else {}, path)
             point[case] = str(path)
         rows.append(point)
         previous = spent

@@ -3,7 +3,7 @@
 Each robot also runs the untrained reference of `steer` for 6 s, from standing. With 16 forward commands from a fifth of
 the maximum speed to the maximum, this gives falls, and the mean ratio of actual to commanded speed after 1.5 s. With 16
 commands drawn from the task's limits (forward, sideways and yaw rate) it gives the planar error [m/s] and the error of
-the yaw rate [rad/s], as `rivals.command_errors` defines them; errors count up to a fall.
+the yaw rate [rad/s], as `command_following` defines them; errors count up to a fall.
 
     python benchmarks/robot_files.py FOLDER... [--out TABLE.csv]
 
@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rivals import command_errors
+from command_following import SECONDS, SETTLED, command_errors
 
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.imported import KNEE_SIGNS
@@ -35,8 +35,6 @@ from surefoot.task.env import LocomotionEnv
 from surefoot.world.sim_world import SimWorld
 
 ROBOTS = 16
-DURATION, SETTLING = 6.0, 1.5
-"""Duration of the untrained reference, and time after which its speed is measured [s]."""
 
 FILES = {
     "example-robot-data": (
@@ -156,7 +154,7 @@ def walk_untrained(folder: Path) -> UntrainedWalk:
     env = LocomotionEnv(replace(task, commands=commands), len(each), SimWorld, seed=1, autoreset=False, threads=1)
     env.reset()
     step = float(env.world.params.control_step[0])
-    first, count = round(SETTLING / step), round(DURATION / step)
+    first, count = round(SETTLED / step), round(SECONDS / step)
     fell, zero = np.zeros(len(each), bool), np.zeros((len(each), len(env.gait.action_names)))
     positions, quats = [env.state.truth.base_position_world.copy()], [env.state.truth.base_quat_world.copy()]
     for _ in range(count):

@@ -139,7 +139,7 @@ def poses_of(velocity: np.ndarray, roll: np.ndarray | None = None, yaw: float = 
 
 
 def test_errors_of_a_worked_example():
-    from rivals import SECONDS, command_errors
+    from command_following import SECONDS, command_errors
 
     steps = round(SECONDS / STEP)
     commands = np.array([[0.5, 0.2, -0.6], [-0.3, 0.0, 0.4]])
@@ -155,7 +155,7 @@ def test_errors_of_a_worked_example():
 
 
 def test_errors_count_up_to_a_fall():
-    from rivals import SECONDS, command_errors
+    from command_following import SECONDS, command_errors
 
     steps = round(SECONDS / STEP)
     commands = np.zeros((4, 3))
@@ -176,7 +176,7 @@ def test_errors_count_up_to_a_fall():
 
 
 def test_a_run_with_another_control_step_that_ends_on_time_is_no_fall():
-    from rivals import SECONDS, command_errors
+    from command_following import SECONDS, command_errors
 
     poses = poses_of(np.zeros((400, 1, 3)))
     poses["time"] = np.minimum(0.0157 * np.arange(401)[:, None], 0.0157 * math.floor(SECONDS / 0.0157))
@@ -184,13 +184,14 @@ def test_a_run_with_another_control_step_that_ends_on_time_is_no_fall():
 
 
 def test_commands_fill_their_ranges():
-    from rivals import HIGH, LOW, draw_commands
+    from command_following import draw_commands
+    from rivals import HIGH, LOW
 
-    commands = draw_commands(128)
+    commands = draw_commands(128, LOW, HIGH)
     assert (commands >= LOW).all()
     assert (commands <= HIGH).all()
     assert (np.ptp(commands, axis=0) > 0.9 * (HIGH - LOW)).all()
-    assert (draw_commands(128) == commands).all()
+    assert (draw_commands(128, LOW, HIGH) == commands).all()
 
 
 def test_points_are_evenly_spaced_and_contain_the_times_that_are_reported():
@@ -226,8 +227,10 @@ def test_the_time_to_an_error(run: list[dict[str, Any]], time: float):
 
 def rows_of(system: str, robot: str, seed: int, start: float) -> list[dict[str, Any]]:
     """Return a training whose error halves when the time doubles, from 0.4 m/s at `start` s."""
+    from rivals import CASES
+
     columns = {"system": system, "robot": robot, "seed": seed, "threads": 2, "yaw_rate": 0.2, "idle": True}
-    columns |= dict.fromkeys(("planar_randomized", "yaw_rate_randomized", "falls_randomized"))
+    columns |= {f"{name}_{case}": None for case in CASES for name in ("planar", "yaw_rate", "falls")}
     columns |= {"other_cores": 0.01, "samples": 5000}
     return [point(start * 2**k, 0.4 / 2**k, **columns, cpu_seconds=start * 2**k * 1.5) for k in range(3)]
 
@@ -356,7 +359,7 @@ def clone(tmp_path: Path) -> Path:
 
 def test_a_rivals_training_is_stopped_and_evaluated_at_its_points(clone: Path, tmp_path: Path):
     pytest.importorskip("torch")
-    from rivals import command_errors
+    from command_following import command_errors
 
     commands = np.array([[0.5, 0.2, 0.0], [0.5, 0.2, 0.0]])
     with Worker(sys.executable, "rivals_mjbatch.py", 2) as worker:
