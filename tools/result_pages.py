@@ -77,7 +77,7 @@ def write_report(root: Path, name: str) -> str:
     Raises:
         SurefootError: the page with the command, or a table, is missing.
     """
-    from surefoot.studies import search_report, study_report
+    from surefoot.studies import robot_report, search_report, study_report
     from surefoot.studies.study_config import load_study
 
     folder = root / "results" / name
@@ -87,7 +87,9 @@ def write_report(root: Path, name: str) -> str:
             raise SurefootError(f"{folder / 'README.md'}: has no command")
         if (folder / "search.yaml").is_file():
             return search_report.report_from_tables(folder, match[1])
-        return study_report.report_from_tables(load_study(root / "studies" / f"{name}.yaml"), folder, match[1])
+        study = load_study(root / "studies" / f"{name}.yaml")
+        write = study_report.report_from_tables if study.robots is None else robot_report.report_from_tables
+        return write(study, folder, match[1])
 
 
 def changes(old: str, new: str) -> list[str]:

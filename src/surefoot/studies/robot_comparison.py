@@ -43,8 +43,20 @@ class RobotComparison:
     episodes: pd.DataFrame
     """One row per run: group, robot that the policy was trained for (empty for the data sheet), seed, and the columns
     of `measure_runs`, where world is `HOME` or the name of the robot."""
-    missing: tuple[str, ...] = ()
-    """Names of trainings that are missing in the comparison."""
+
+    @cached_property
+    def missing(self) -> list[str]:
+        """Number of trainings that are missing in the comparison, for each group with missing ones."""
+        found = self.episodes[["group", "robot", "seed"]].drop_duplicates().group.value_counts()
+        counts = {
+            group: (len(self.study.trained_on(group)) * len(self.study.seeds_of(group)), int(found.get(group, 0)))
+            for group in self.study.groups
+        }
+        return [
+            f"{count - present} of {count} trainings of '{self.study.label(group)}'"
+            for group, (count, present) in counts.items()
+            if present < count
+        ]
 
     @cached_property
     def robots(self) -> pd.DataFrame:

@@ -17,6 +17,7 @@ from surefoot.studies.hidden_robots import DATA_SHEET_MOTORS, OTHER_MOTORS, robo
 from surefoot.studies.questions import LEVEL, METRICS, Answer, ComparedPair
 from surefoot.studies.report import image, readme
 from surefoot.studies.robot_comparison import ALL, CONTENTS, RobotComparison, robot_tables
+from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import markdown, with_unit, write_csv
 
 _HOW_TO_READ = (
@@ -44,22 +45,35 @@ def write_robot_report(
     tables = {name: table for name, table in robot_tables(comparison, parameters).items() if len(table)}
     for name, table in tables.items():
         write_csv(folder / f"{name}.csv", table)
-    figures = _draw(comparison, folder)
+    for family in comparison.families:
+        _draw(comparison, family, folder / _figure_file(family))
+    path = folder / "README.md"
+    atomic_write(path, report_from_tables(comparison.study, folder, command))
+    return path
+
+
+def report_from_tables(study: StudyConfig, folder: Path, command: str) -> str:
+    """Return the README.md of a study from the tables of its report; neither runs nor robots are needed."""
+    tables = {name: pd.read_csv(path) for name in CONTENTS if (path := folder / f"{name}.csv").is_file()}
+    tables["episodes"]["robot"] = tables["episodes"]["robot"].fillna("")
+    comparison = RobotComparison(study, tables["episodes"])
     parts = [
         *([f"**Not complete.** Not in this report: {', '.join(comparison.missing)}."] if comparison.missing else []),
         *_claims(comparison),
         "## How to read",
         _HOW_TO_READ.format(confidence=CONFIDENCE, level=LEVEL),
-        *[part for family, file in figures.items() for part in _results(comparison, family, file)],
+        *[part for family in comparison.families for part in _results(comparison, family)],
         *_open_questions(comparison),
         "## Every robot",
         *_every_robot(comparison),
         *(_parameters(tables["parameters"]) if "parameters" in tables else []),
     ]
-    path = folder / "README.md"
     listed = {f"{name}.csv": CONTENTS[name] for name in tables}
-    atomic_write(path, readme(f"Study: {comparison.study.name}", command, parts, listed))
-    return path
+    return readme(f"Study: {comparison.study.name}", command, parts, listed)
+
+
+def _figure_file(family: str) -> str:
+    return f"returns_{family}.png"
 
 
 def _family_label(comparison: RobotComparison, family: str) -> str:
@@ -72,25 +86,21 @@ def _family_label(comparison: RobotComparison, family: str) -> str:
     }[family]
 
 
-def _draw(comparison: RobotComparison, folder: Path) -> dict[str, str]:
-    """Draw a figure for each motor family; return the files by family."""
-    other, files = comparison.study.hidden.other_motors, {}
-    for family in comparison.families:
-        rows = comparison.select_family(family)
-        groups = [
-            GroupOnRobots(
-                comparison.study.label(group),
-                part.home.to_numpy(),
-                part.on_robot.to_numpy(),
-                float(part.falls.mean()) / 100,
-                (part.motors == OTHER_MOTORS).to_numpy(),
-            )
-            for group, part in rows.groupby("group", sort=False)
-        ]
-        marked = other.label if other is not None and family == ALL else ""
-        title = f"Return of an episode (m), {_family_label(comparison, family)}"
-        files[family] = robots_figure(groups, folder / f"returns_{family}.png", marked, title).name
-    return files
+def _draw(comparison: RobotComparison, family: str, path: Path) -> None:
+    """Draw the figure of a motor family."""
+    other, rows = comparison.study.hidden.other_motors, comparison.select_family(family)
+    groups = [
+        GroupOnRobots(
+            comparison.study.label(group),
+            part.home.to_numpy(),
+            part.on_robot.to_numpy(),
+            float(part.falls.mean()) / 100,
+            (part.motors == OTHER_MOTORS).to_numpy(),
+        )
+        for group, part in rows.groupby("group", sort=False)
+    ]
+    marked = other.label if other is not None and family == ALL else ""
+    robots_figure(groups, path, marked, f"Return of an episode (m), {_family_label(comparison, family)}")
 
 
 def _claims(comparison: RobotComparison) -> list[str]:
@@ -134,7 +144,7 @@ def _p(value: float) -> str:
     return "< 0.001" if value < 0.001 else decimal(value, 3)
 
 
-def _results(comparison: RobotComparison, family: str, file: str) -> list[str]:
+def _results(comparison: RobotComparison, family: str) -> list[str]:
     """Return the section of a motor family: the figure, and a table with one row per group."""
     label, rows = _family_label(comparison, family), comparison.select_family(family)
     table = []
@@ -147,7 +157,7 @@ def _results(comparison: RobotComparison, family: str, file: str) -> list[str]:
             table.append(cells)
     return [
         f"## {capitalize_first(label)}",
-        image(f"Return in simulation and on the robot: {label}", file),
+        image(f"Return in simulation and on the robot: {label}", _figure_file(family)),
         markdown(table),
     ]
 

@@ -286,14 +286,3 @@ def study_runs(
                 runs.append(Training(group, replace(config, seed=seed), root / group / name / f"seed_{seed}", name))
     order = list(dict.fromkeys(run.config.seed for run in runs))
     return sorted(runs, key=lambda run: order.index(run.config.seed))
-
-
-def training_names(study: StudyConfig) -> list[str]:
-    """Return the names of all trainings of a study, including those for robots that are not identified yet."""
-    return [
-        Training(group, replace(base, seed=seed), Path(), "" if robot is None else robot_name(robot)).name
-        for group in study.groups
-        for base in [group_config(study, group)]
-        for robot in study.trained_on(group)
-        for seed in study.seeds_of(group)
-    ]

@@ -11,7 +11,7 @@ from rich.console import Console
 from surefoot.cli.helpers.options import make_figures_folder
 from surefoot.errors import SurefootError, suggest
 from surefoot.studies.hidden_robots import other_motors_folder, read_identified, robot_name
-from surefoot.studies.study_config import StudyConfig, study_runs, training_names
+from surefoot.studies.study_config import StudyConfig, study_runs
 from surefoot.studies.training import Training
 from surefoot.world.registry import check_takes_params, find_world
 
@@ -102,17 +102,16 @@ def report_robots(study: StudyConfig, root: Path, out: Path, command: str, conso
             rows |= {} if result is None else {run.name: episode_rows(run, result)}
     if not rows:
         raise SurefootError(f"{root}: no run of the study is finished and evaluated; there is nothing to report yet")
-    missing = tuple(name for name in training_names(study) if name not in rows)
     make_figures_folder(out)
     from surefoot.studies.robot_report import write_robot_report
 
     files = {seed: read_identified(robots_folder(out), seed, robots.robot) for seed in robots.seeds}
     identified = {seed: file for seed, file in files.items() if file is not None}
-    comparison = RobotComparison(study, pd.concat(rows.values(), ignore_index=True), missing)
+    comparison = RobotComparison(study, pd.concat(rows.values(), ignore_index=True))
     parameters = parameter_rows(study, identified, other_motors_folder(root / "robots"))
     readme = write_robot_report(comparison, parameters, out, command)
-    if missing:
-        console.print(f"Not in the report: {', '.join(missing)}")
+    if comparison.missing:
+        console.print(f"Not in the report: {', '.join(comparison.missing)}")
     console.print(f"Report: {readme}")
 
 
