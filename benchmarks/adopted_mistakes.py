@@ -16,7 +16,6 @@ for all readings, the same motor angles for all actions, the same gains and cont
 from __future__ import annotations
 
 import argparse
-import csv
 import re
 import time
 from collections import Counter
@@ -33,7 +32,7 @@ from surefoot.adopt.mistakes import Correction, corrections
 from surefoot.adopt.specification import PolicySpecification
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
-from surefoot.tables import write_csv
+from surefoot.tables import read_csv, write_csv
 from surefoot.task.contract_mapping import task_from_contract
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -98,14 +97,6 @@ def draw(right: dict[str, PolicySpecification], robot: RobotDescription, seed: i
             yield Case(name, kind, text, change.specification)
 
 
-def read_rows(path: Path) -> list[dict[str, object]]:
-    """Return the rows of an existing table; empty without a file."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def main() -> None:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -120,7 +111,7 @@ def main() -> None:
     right = {name: FORMATS["rl_sar"].read(path.parent / "config.yaml", robot, {}) for name, path in NETWORKS.items()}
     widths = {name: check_specification(one, robot) for name, one in right.items()}
     networks = {name: load_network(path, path.read_bytes(), widths[name]) for name, path in NETWORKS.items()}
-    rows = read_rows(options.out)
+    rows = read_csv(options.out)
     done = {(str(row["seed"]), str(row["number"])) for row in rows}
     for seed in options.seeds:
         cases = draw(right, robot, seed)

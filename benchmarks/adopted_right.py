@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from adopted_mistakes import NETWORKS, ROOT, read_rows
+from adopted_mistakes import NETWORKS, ROOT
 
 from surefoot.adopt.adoption import FORMATS, load_network
 from surefoot.adopt.builder import build_policy, check_specification
@@ -27,7 +27,7 @@ from surefoot.adopt.diagnosis import diagnose
 from surefoot.adopt.robot_variants import RobotVariant
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.tables import write_csv
+from surefoot.tables import read_csv, write_csv
 from surefoot.task.contract_mapping import task_from_contract
 
 RESULTS = ROOT / "results" / "adopted_right.csv"
@@ -66,7 +66,7 @@ def main() -> None:
         network = load_network(path, path.read_bytes(), check_specification(stated[name], robot))
         policies[name] = PolicyRuntime.parse(build_policy(stated[name], network, robot, name, {}))
     nominal = PhysicalParams.nominal(robot)
-    rows = read_rows(options.out)
+    rows = read_csv(options.out)
     done = {(str(row["seed"]), str(row["number"])) for row in rows}
     for number, (name, guessed) in enumerate(draw(options.seed, options.count)):
         if (str(options.seed), str(number)) in done or time.monotonic() > end:

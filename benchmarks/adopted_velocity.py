@@ -23,7 +23,7 @@ import numpy as np
 import onnx
 import tyro
 import yaml
-from adopted_mistakes import ROOT, read_rows
+from adopted_mistakes import ROOT
 from onnx import helper, numpy_helper
 
 from surefoot.adopt.adoption import adopt
@@ -33,7 +33,7 @@ from surefoot.adopt.specification import PolicySpecification
 from surefoot.adopt.torchscript_tracing import trace
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.robot import RobotDescription
-from surefoot.tables import write_csv
+from surefoot.tables import read_csv, write_csv
 from surefoot.task.contract_mapping import task_from_contract
 
 RESULTS = ROOT / "results" / "adopted_velocity.csv"
@@ -125,7 +125,7 @@ def main(command: Command) -> None:
     rows = [{**key, **row_of(trial, source)} for trial, source in zip(trials, ("estimated", "true", "0"), strict=True)]
     for row in rows:
         print("  ".join(f"{value:.3f}" if isinstance(value, float) else str(value) for value in row.values()))
-    kept = [row for row in read_rows(command.out) if any(row[name] != value for name, value in key.items())]
+    kept = [row for row in read_csv(command.out) if any(row[name] != value for name, value in key.items())]
     write_csv(command.out, [*kept, *rows])
 
 

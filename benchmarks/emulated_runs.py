@@ -10,7 +10,6 @@ Every robot has noisy sensors, a battery with voltage drop and motors that heat 
 from __future__ import annotations
 
 import argparse
-import csv
 import tempfile
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +18,7 @@ import numpy as np
 from emulated import deploy
 
 from surefoot.evaluation.runs import measure_runs
-from surefoot.tables import write_csv
+from surefoot.tables import read_csv, write_csv
 
 
 class Case(NamedTuple):
@@ -93,10 +92,8 @@ def main() -> None:
     options = parser.parse_args()
     path = options.out / "runs.csv"
     kept: dict[str, list[dict[str, Any]]] = {}
-    if path.exists():
-        with path.open(newline="") as file:
-            for row in csv.DictReader(file):
-                kept.setdefault(row["case"], []).append(row)
+    for row in read_csv(path):
+        kept.setdefault(row["case"], []).append(row)
     for name in options.cases or CASES:
         kept[name] = run(name, CASES[name])
         print(summary(kept[name]), flush=True)

@@ -13,7 +13,6 @@ is in a folder of its name in `--runs`; `--train` trains missing ones. A name in
 from __future__ import annotations
 
 import argparse
-import csv
 import hashlib
 import io
 import json
@@ -29,7 +28,7 @@ from surefoot.api.policies import released_policies
 from surefoot.cli import evaluate, train
 from surefoot.configuration import read_yaml
 from surefoot.evaluation.statistics import proportion_interval
-from surefoot.tables import write_csv
+from surefoot.tables import read_csv, write_csv
 
 ROOT = Path(__file__).resolve().parents[1]
 NAMES, TABLE = (ROOT / "results" / f"evaluations.{kind}" for kind in ("yaml", "csv"))
@@ -88,8 +87,7 @@ def describe(policy: str, options: str, about: dict[str, str], path: Path | None
 
 def read_table() -> dict[str, dict[str, Any]]:
     """Return the rows by name."""
-    with TABLE.open(encoding="utf-8", newline="") as file:
-        return {row["name"]: row for row in csv.DictReader(file)}
+    return {row["name"]: row for row in read_csv(TABLE)}
 
 
 def measure(path: Path, options: str, threads: int) -> dict[str, Any]:

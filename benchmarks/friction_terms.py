@@ -10,7 +10,6 @@ by a fit to the other half. Each of the Pupper's logs is predicted by a fit to t
 from __future__ import annotations
 
 import argparse
-import csv
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from surefoot.identify.motion.robot_model import GROUND_SECONDS
 from surefoot.identify.motion.traces import read_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.tables import print_table, write_csv
+from surefoot.tables import print_table, read_csv, write_csv
 
 DATA = Path(__file__).parents[1] / "data" / "pupper_v2"
 LOGS = ("right_side_1khz", "one_hip_200hz", "front_200hz")
@@ -75,9 +74,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("results/identification/friction_terms.csv"))
     options = parser.parse_args()
     table: dict[str, dict[str, Any]] = {name: {"friction": name} for name in ROWS}
-    if options.out.exists():
-        with options.out.open(newline="") as file:
-            table |= {row["friction"]: row for row in csv.DictReader(file)}
+    table |= {row["friction"]: row for row in read_csv(options.out)}
     cases: list[tuple[str, RobotDescription, list[RecordedMotion], RecordedMotion]] = []
     if options.go2 is not None:
         go2 = RobotDescription.load("go2")

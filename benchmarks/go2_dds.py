@@ -43,6 +43,7 @@ from go2_runs import (
 )
 
 from surefoot.deploy.motion_runner import STARTUP_TIME
+from surefoot.tables import read_csv
 
 POLICY = "go2-steer"
 """Policy of rows that name none."""
@@ -178,10 +179,7 @@ def save(name: str, keys: tuple[str, ...], rows: list[dict[str, Any]]) -> None:
     """Write rows to a table of the results; they replace rows with the same keys."""
     RESULTS.mkdir(parents=True, exist_ok=True)
     path = RESULTS / f"{name}.csv"
-    table: dict[tuple[str, ...], dict[str, Any]] = {}
-    if path.exists():
-        with path.open(newline="") as file:
-            table = {tuple(row.get(key) or POLICY for key in keys): row for row in csv.DictReader(file)}
+    table = {tuple(row.get(key) or POLICY for key in keys): row for row in read_csv(path)}
     for row in rows:
         row = {key: f"{value:.5g}" if isinstance(value, float) else value for key, value in row.items()}
         table[tuple(str(row[key]) for key in keys)] = row

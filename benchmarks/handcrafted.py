@@ -11,7 +11,6 @@ handcrafted` writes the page of results.
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import math
 import re
@@ -34,7 +33,7 @@ from surefoot.report.figures.style import COLORS, MARKERS, new_figure
 from surefoot.robot import GRAVITY, RobotDescription
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies.tune import has_converged, read_curve
-from surefoot.tables import print_table, write_csv
+from surefoot.tables import print_table, read_csv, write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.world.registry import find_world
@@ -275,10 +274,8 @@ def shown(row: dict[str, Any]) -> dict[str, str]:
 
 
 def main(command: Command) -> None:
-    kept, path = [], command.folder / "runs.csv"
-    if path.exists():
-        with path.open(newline="") as file:
-            kept = list(csv.DictReader(file))
+    path = command.folder / "runs.csv"
+    kept = read_csv(path)
     selected = list(entries(command.folder, command.policies))
     current = {(entry.path.stem, entry.digest) for entry in selected}
     kept = [row for row in kept if (row.get("file"), row["digest"]) in current]

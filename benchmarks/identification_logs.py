@@ -12,7 +12,6 @@ the fit declared the value unidentifiable.
 from __future__ import annotations
 
 import argparse
-import csv
 import sys
 import time
 from pathlib import Path
@@ -24,7 +23,7 @@ import numpy as np
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_fit import fit_robot
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.tables import print_table, write_csv
+from surefoot.tables import print_table, read_csv, write_csv
 
 OUT = Path("results/identification/hidden_logs.csv")
 STEP, EVERY, SETTLE, LENGTH = 0.001, 5, 2.0, 12.0
@@ -150,10 +149,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=OUT)
     options = parser.parse_args()
     robot = RobotDescription.load("go2")
-    rows: list[dict[str, Any]] = []
-    if options.out.exists():
-        with options.out.open(newline="") as file:
-            rows = list(csv.DictReader(file))
+    rows = read_csv(options.out)
     first, _, last = options.logs.partition("-")
     for number in [] if options.summary else range(int(first), int(last or first) + 1):
         key = str(number), str(int(options.known))

@@ -18,7 +18,6 @@ without pushes. Rows go to doses.csv, one per policy and dose; a second call run
 
 from __future__ import annotations
 
-import csv
 import tarfile
 import tempfile
 from collections.abc import Iterator
@@ -36,7 +35,7 @@ from surefoot.configuration import from_mapping
 from surefoot.evaluation.conditions import undisturbed_task
 from surefoot.evaluation.rollout import Controller, run_to_end
 from surefoot.evaluation.statistics import Interval, t_interval, welch_interval
-from surefoot.tables import print_table, write_csv
+from surefoot.tables import print_table, read_csv, write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.sim_world import SimWorld
@@ -130,10 +129,7 @@ def policies(archive: Path, folder: Path) -> Iterator[tuple[dict[str, Any], Path
 def measure(command: Command) -> list[dict[str, Any]]:
     """Run what is missing in the file of rows, and return all rows."""
     path = command.folder / "doses.csv"
-    rows: list[dict[str, Any]] = []
-    if path.exists():
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
+    rows = read_csv(path)
     known = {(row["group"], int(row["seed"]), row["kind"], float(row["dose"])) for row in rows}
     with tempfile.TemporaryDirectory() as temporary:
         for about, path_of in policies(command.archive, Path(temporary)):

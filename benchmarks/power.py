@@ -22,7 +22,6 @@ A row is called GAIT, or GAIT/CONDITION. `published-trot` and `published-gallop`
 
 from __future__ import annotations
 
-import csv
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -40,7 +39,7 @@ from surefoot.api.policies import find_policy, load_gait
 from surefoot.arrays import Array
 from surefoot.evaluation.conditions import undisturbed_task
 from surefoot.evaluation.rollout import run_to_end
-from surefoot.tables import print_table, write_csv
+from surefoot.tables import print_table, read_csv, write_csv
 from surefoot.task.env import LocomotionEnv
 from surefoot.world.registry import find_world
 
@@ -251,7 +250,7 @@ def attach(env: Any, meter: Meter) -> Callable[[], None]:
 
 
 def main(command: Command) -> None:
-    table = csv.DictReader(command.out.open(encoding="utf-8")) if command.out.exists() else ()
+    table = read_csv(command.out)
     kept = [{key: one if key == "name" else float(one) for key, one in row.items()} for row in table]
     rows: list[dict[str, Any]] = []
     install_legacy_stubs()

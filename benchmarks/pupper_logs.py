@@ -10,7 +10,6 @@ fitted to two logs and run on the third; and fits with parts of the model left o
 from __future__ import annotations
 
 import argparse
-import csv
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,7 @@ from surefoot.identify.motion.traces import read_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import load_params
-from surefoot.tables import print_table, write_csv
+from surefoot.tables import print_table, read_csv, write_csv
 
 DATA = Path(__file__).parents[1] / "data" / "pupper_v2"
 LOGS = ("right_side_1khz", "one_hip_200hz", "front_200hz")
@@ -76,10 +75,7 @@ def main() -> None:
     options = parser.parse_args()
     robot = RobotDescription.load("pupper_v2")
     runs = {name: replace(read_motion(DATA / f"{name}.npz", robot), rack=name in RACKED) for name in LOGS}
-    table: dict[str, dict[str, Any]] = {}
-    if options.out.exists():
-        with options.out.open(newline="") as file:
-            table = {row["simulator"]: row for row in csv.DictReader(file)}
+    table = {row["simulator"]: row for row in read_csv(options.out)}
     for what in options.rows or ROWS:
         table[what] = errors(what, robot, runs)
         write_csv(options.out, [table[name] for name in ROWS if name in table])

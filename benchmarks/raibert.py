@@ -26,7 +26,6 @@ Runs are stored in runs.csv; a second call runs only missing ones.
 
 from __future__ import annotations
 
-import csv
 import itertools
 import math
 import tarfile
@@ -51,7 +50,7 @@ from surefoot.policy.contract import Contract
 from surefoot.policy.runtime import PolicyRuntime
 from surefoot.report.figures.style import COLORS, MARKERS, new_figure
 from surefoot.robot import RobotDescription
-from surefoot.tables import print_table, write_csv
+from surefoot.tables import print_table, read_csv, write_csv
 from surefoot.task.config import load_task
 from surefoot.task.contract_mapping import contract_from_task
 
@@ -271,12 +270,8 @@ def columns(rows: list[dict[str, Any]], *names: str) -> list[list[float]]:
 
 def read_runs(path: Path) -> list[dict[str, Any]]:
     """Return the stored runs."""
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
     words = ("gait", "family")
-    return [{key: one if key in words else float(one or "nan") for key, one in row.items()} for row in rows]
+    return [{key: one if key in words else float(one or "nan") for key, one in row.items()} for row in read_csv(path)]
 
 
 def main(command: Command) -> None:

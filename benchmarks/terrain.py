@@ -15,10 +15,9 @@ results/terrain/success.csv, and replace rows of the same case; `--missing` meas
 
 from __future__ import annotations
 
-import csv
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -28,7 +27,7 @@ from surefoot.evaluation.policy_table import measure
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.report.figures.terrain import success_figure
 from surefoot.robot.randomization import load_ranges
-from surefoot.tables import write_csv
+from surefoot.tables import read_csv, write_csv
 from surefoot.world.registry import WORLDS, find_world
 
 RESULTS = Path(__file__).parents[1] / "results" / "terrain"
@@ -69,10 +68,7 @@ class Command:
 def main(command: Command) -> None:
     """Measure every selected terrain."""
     path = command.out / "success.csv"
-    table: dict[tuple[str, ...], dict[str, Any]] = {}
-    if path.is_file():
-        with path.open(newline="", encoding="utf-8") as file:
-            table = {tuple(row[key] for key in KEYS): row for row in csv.DictReader(file)}
+    table = {tuple(row[key] for key in KEYS): row for row in read_csv(path)}
     for name in command.policies:
         policy, robot, task, _ = load_gait(find_policy(name), None)
         ranges = load_ranges("table1", robot=robot.folder)

@@ -17,7 +17,6 @@ accelerometers; rows go to results/estimation/accelerometer.csv.
 
 from __future__ import annotations
 
-import csv
 import json
 import os
 import subprocess
@@ -51,7 +50,7 @@ from surefoot.robot.commands import COMMANDS
 from surefoot.robot.params_file import write_params
 from surefoot.robot.randomization import draw_hidden, load_ranges
 from surefoot.rotations import in_heading_frame, quat_yaw
-from surefoot.tables import write_csv
+from surefoot.tables import read_csv, write_csv
 from surefoot.task.trace import EpisodeTrace
 from surefoot.world.registry import find_world
 
@@ -248,8 +247,7 @@ def compare_returns(robots: int) -> dict[str, Any]:
         words = ["--from", "trace", measured, "--to", "trace", estimated, "--duration", str(DURATION)]
         gap: list[str | Path] = [*command, "gap", POLICY, *words, "--out", folder / "gap", "--json"]
         done = subprocess.run(gap, check=True, stdout=subprocess.PIPE, text=True)
-        with (folder / "gap" / "episodes.csv").open(newline="", encoding="utf-8") as file:
-            returns = [float(row["return"]) for row in csv.DictReader(file)]
+        returns = [float(row["return"]) for row in read_csv(folder / "gap" / "episodes.csv")]
     output: dict[str, Any] = json.loads(done.stdout)
     home, away = output["policies"][0]["worlds"]
     ((low, high),) = (ends["return_mean"] for ends in output["estimated_intervals"][POLICY].values())
@@ -347,10 +345,7 @@ def main(command: Command) -> None:
         write_csv(command.out / "emulated.csv", [row])
         return
     path = command.out / ("accelerometer.csv" if command.accelerometer else "velocity.csv")
-    table: list[dict[str, Any]] = []
-    if path.is_file():
-        with path.open(newline="", encoding="utf-8") as file:
-            table = list(csv.DictReader(file))
+    table = read_csv(path)
     for name in command.cases:
         if name not in CASES:
             raise SystemExit(f"--cases {name} is no case; choose from {', '.join(CASES)}")

@@ -15,7 +15,6 @@ again.
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +31,7 @@ from surefoot.learn.config import TrainConfig, load_train_config
 from surefoot.learn.ppo_learner import PpoLearner
 from surefoot.robot.commands import COMMANDS
 from surefoot.robot.randomization import load_ranges
-from surefoot.tables import write_csv
+from surefoot.tables import read_csv, write_csv
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.pushes import PushConfig
 from surefoot.task.reference_config import NoReferenceConfig
@@ -156,10 +155,7 @@ def main() -> int:
     base = replace(base, task=replace(base.task, randomize=ranges))
     if options.scratch:
         base = replace(base, task=from_scratch(base.task))
-    rows: list[dict[str, Any]] = []
-    if options.out and options.out.exists():
-        with options.out.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
+    rows = read_csv(options.out) if options.out else []
     for seed in options.seeds:
         run = {"robot": options.robot, "start": "scratch" if options.scratch else "reference"}
         run |= {"randomize": options.randomize, "seed": str(seed), "threads": str(options.threads)}

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from surefoot.files import atomic_write
 
@@ -45,6 +46,14 @@ def write_csv(path: str | Path, table: Rows | pd.DataFrame) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
     atomic_write(path, frame.to_csv(index=False, float_format="%.9g", lineterminator="\n"))
     return path
+
+
+def read_csv(path: Path) -> list[dict[str, Any]]:
+    """Return the rows of a CSV file, all values as text; empty if the file is missing."""
+    if not path.is_file():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
 def markdown(rows: Rows) -> str:

@@ -8,7 +8,6 @@ sqrt(g / reach) / (2 pi), so that the ranges apply to robots of any size.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +23,7 @@ from surefoot.evaluation.footfalls import FEET
 from surefoot.evaluation.rollout import run_to_end
 from surefoot.robot import DEFAULT_ROBOT, GRAVITY, RobotDescription
 from surefoot.seeding import generator
+from surefoot.tables import read_csv
 from surefoot.task.config import FeedbackConfig, TaskConfig
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.foot_paths import FootPaths
@@ -164,8 +164,7 @@ def curve_path(gait: Path) -> Path:
 
 def read_curve(gait: Path) -> list[dict[str, str]]:
     """Return the tuning curve of a gait file, one row per generation; empty without a curve."""
-    path = curve_path(gait)
-    return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines())) if path.exists() else []
+    return read_csv(curve_path(gait))
 
 
 def has_converged(curve: Sequence[float], patience: int) -> bool:
