@@ -22,7 +22,7 @@ def walking(robot: RobotDescription, state: State, steps: int) -> list[State]:
     for k in range(steps):
         foot = np.tile([0.05 - SPEED * DT * k, 0.0, -HEIGHT], (4, 1))
         angles, (angle, torque) = legs.to_motors(legs.foot_pose(foot)), np.zeros((2, robot.num_motors))
-        angle[index], torque[index] = angles, -np.einsum("lim,li->lm", legs.jacobian(angles), weight)
+        angle[index], torque[index] = angles, -np.einsum("lim,li->lm", legs.foot_kinematics(angles).jacobian, weight)
         level = np.zeros(3)
         states.append(
             replace(

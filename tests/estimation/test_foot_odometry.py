@@ -68,7 +68,7 @@ def test_the_lowest_point_of_a_standing_foot_is_at_rest(name):
 def test_standing_torques_carry_the_weight(name):
     robot, level = RobotDescription.load(name), np.zeros(3)
     angle, legs = robot.resting_angles + 0.05, robot.leg_geometry
-    jacobian = legs.jacobian(angle[robot.leg_motor_index])
+    jacobian = legs.foot_kinematics(angle[robot.leg_motor_index]).jacobian
     force = np.array([3.0, 0.0, GRAVITY * robot.urdf.total_mass / 4]) * np.array([[0.5], [1.0], [1.5], [0.0]])
     torque = np.zeros(robot.num_motors)
     torque[robot.leg_motor_index] = -np.einsum("lim,li->lm", jacobian, force)
@@ -80,7 +80,7 @@ def test_standing_torques_carry_the_weight(name):
 def test_a_sole_gives_way_as_a_damped_spring():
     robot, level = RobotDescription.load("go2"), np.zeros(3)
     legs, index, odometry = robot.leg_geometry, robot.leg_motor_index, FootOdometry(robot)
-    jacobian = legs.jacobian(robot.resting_angles[index])
+    jacobian = legs.foot_kinematics(robot.resting_angles[index]).jacobian
     contact, growth, steps = robot.contact, 200.0, 400
     for k in range(steps):
         torque = np.zeros(robot.num_motors)

@@ -35,7 +35,7 @@ def readings(
     up = np.array([-np.sin(pitch), 0.0, np.cos(pitch)])
     force = up * (carries / max(carries.sum(), 1.0))[:, None] * ROBOT.weight * torque_scale
     angle, torque = np.zeros((2, 1, ROBOT.num_motors))
-    angle[0, index], torque[0, index] = angles, -np.einsum("lim,li->lm", legs.jacobian(angles), force)
+    angle[0, index], torque[0, index] = angles, -np.einsum("lim,li->lm", legs.foot_kinematics(angles).jacobian, force)
     return MotionReadings(
         duration=np.array([DT]),
         roll_pitch_yaw=np.array([[0.0, pitch, 0.0]]),

@@ -104,7 +104,7 @@ def test_forces_are_shown_only_for_feet_on_the_ground(make_run: MakeRun):
     one = swinging(make_run)
     hold = -np.einsum(
         "lij,lj->li",
-        np.swapaxes(GO2.leg_geometry.jacobian(GO2.resting_angles[GO2.leg_motor_index]), -1, -2),
+        np.swapaxes(GO2.leg_geometry.foot_kinematics(GO2.resting_angles[GO2.leg_motor_index]).jacobian, -1, -2),
         np.tile([0.0, 0.0, 40.0], (4, 1)),
     )
     torque = np.zeros((200, 12))

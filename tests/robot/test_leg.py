@@ -93,7 +93,7 @@ def test_positive_swing_moves_the_foot_backward_and_extension_makes_the_leg_long
 def test_the_jacobian_is_the_derivative_of_the_foots_position(legs: Legs):
     angles, step = legs.to_motors(grid(legs)), 1e-6
     motors = angles.shape[-1]
-    jacobian = legs.jacobian(angles)
+    jacobian = legs.foot_kinematics(angles).jacobian
     assert jacobian.shape == (*angles.shape[:-1], 3, motors)
     for motor, turn in enumerate(step * np.eye(motors)):
         moved = (legs.foot_position(angles + turn) - legs.foot_position(angles - turn)) / (2 * step)
@@ -106,7 +106,7 @@ def test_foot_kinematics_have_the_position_and_the_forces_that_balance_torques(l
     feet = legs.foot_kinematics(angles)
     np.testing.assert_allclose(feet.pose[..., :3], legs.foot_position(angles), atol=1e-12)
     force = np.array([3.0, -2.0 if len(legs.coordinates) == 3 else 0.0, 11.0])
-    torque = -force @ legs.jacobian(angles)
+    torque = -force @ legs.foot_kinematics(angles).jacobian
     np.testing.assert_allclose(feet.force(torque), np.broadcast_to(force, feet.pose[..., :3].shape), atol=1e-8)
 
 
@@ -213,14 +213,14 @@ def test_swing_turns_the_whole_leg_about_the_motor_axis():
 # dp = (0.0866025, -0.05), and the foot by 1.5 dp - 0.5 (0, -0.1) = (0.1299038, -0.025).
 def test_jacobian_of_a_five_bar_leg_by_hand():
     expected = [(-0.1299038, 0.0, -0.075), (0.1299038, 0.0, -0.025)]
-    np.testing.assert_allclose(EQUAL.jacobian(RIGHT).T, expected, atol=1e-7)
+    np.testing.assert_allclose(EQUAL.foot_kinematics(RIGHT).jacobian.T, expected, atol=1e-7)
 
 
 def test_foot_and_jacobian_are_nan_if_the_loop_can_not_close():
     assert not SHORT.is_feasible(RIGHT)
     assert SHORT.is_feasible(1.8 * RIGHT)
     assert np.isnan(SHORT.foot_in_plane(RIGHT)).all()
-    assert np.isnan(SHORT.jacobian(RIGHT)[[0, 2]]).all()
+    assert np.isnan(SHORT.foot_kinematics(RIGHT).jacobian[[0, 2]]).all()
 
 
 # --- serial legs ---
@@ -293,7 +293,7 @@ def test_a_pose_out_of_reach_has_no_motor_angles():
 # 0.45 and the knee by 0.25 m/rad backward.
 def test_jacobian_of_a_serial_leg_by_hand():
     expected = [(0.0, 0.45, 0.08), (-0.45, 0.0, 0.0), (-0.25, 0.0, 0.0)]
-    np.testing.assert_allclose(serial_legs().jacobian(np.zeros((2, 3)))[0].T, expected, atol=1e-15)
+    np.testing.assert_allclose(serial_legs().foot_kinematics(np.zeros((2, 3))).jacobian[0].T, expected, atol=1e-15)
 
 
 def test_every_joint_of_a_serial_leg_has_a_motor():

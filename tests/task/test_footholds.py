@@ -15,10 +15,10 @@ from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.env import LocomotionEnv
-from surefoot.task.foot_kinematics import FootKinematics
 from surefoot.task.footholds import Footholds
 from surefoot.task.height_scan import POLICY_GRID
 from surefoot.task.reference import FollowingReference
+from surefoot.task.stepping_kinematics import SteppingKinematics
 from surefoot.world.interface import SensorReadings
 from surefoot.world.sim_world import SimWorld
 
@@ -304,7 +304,7 @@ def test_steps_of_lifted_feet_stay_within_the_legs_reach():
 def test_a_reference_whose_feet_are_lifted_out_of_reach_is_rejected(monkeypatch):
     task = load_task("terrain-seeing", "go2")[0]
     # No leg reaches a full leg length ahead of its neutral position without the limit of its reach.
-    monkeypatch.setattr(FootKinematics, "reach_ratio", lambda self, step: np.zeros(step.shape[:-1]))
+    monkeypatch.setattr(SteppingKinematics, "reach_ratio", lambda self, step: np.zeros(step.shape[:-1]))
     with pytest.raises(SurefootError, match=r"foothold_radius and reference.touch_clearance together move feet out"):
         replace(task, reference=replace(task.reference, foothold_radius=1.0)).gait(GO2)
 

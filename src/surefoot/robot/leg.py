@@ -47,6 +47,17 @@ class FootKinematics(NamedTuple):
     """Cosine and sine of the abduction (..., L), and in the plane's frame the position of the foot from the abduction
     axis, y (L,) and z (..., L), times the motor's sign [m]. None without abduction."""
 
+    @property
+    def jacobian(self) -> Array:
+        """Jacobian (..., L, 3, m) [m/rad] of the position of the foot with respect to the motor angles."""
+        if self.abduction is None:
+            return np.stack([self.ahead, np.zeros_like(self.ahead), self.above], axis=-2)
+        cos, sin, aside, lever = self.abduction
+        abducted = np.stack([np.zeros_like(lever), -sin * aside - cos * lever, cos * aside - sin * lever], axis=-1)
+        cos, sin = cos[..., None], sin[..., None]
+        in_plane = np.stack([self.ahead, -sin * self.above, cos * self.above], axis=-2)
+        return np.concatenate([abducted[..., None], in_plane], axis=-1)
+
     def force(self, torque: Array) -> Array:
         """Return the forces f (..., L, 3) [N] on the feet in the base frame that balance motor torques (..., L, m).
 
@@ -117,9 +128,6 @@ class Legs(Protocol):
 
         A leg without abduction ignores y and stays in its plane.
         """
-
-    def jacobian(self, angles: ArrayLike) -> Array:
-        """Return the Jacobian (..., L, 3, m) [m/rad] of `foot_position` with respect to the motor angles."""
 
     def foot_kinematics(self, angles: Array) -> FootKinematics:
         """Return the poses of the feet's links for motor angles (..., L, m) [rad], and the motors' leverage."""
@@ -201,20 +209,6 @@ class FiveBar:
     def foot_pose(self, foot: ArrayLike) -> Array:
         """Return the poses (..., 2, L) [rad] for foot positions (..., L, 3) [m] from the mounts; y is ignored."""
         return np.stack(self.plane_pose(np.asarray(foot, float)[..., ::2]), axis=-2)
-
-    def jacobian(self, angles: ArrayLike) -> Array:
-        """Return the Jacobian (..., 3, 2) [m/rad] of `foot_position`.
-
-        The lower links keep their lengths: (p - k_i) . (dp - dk_i) = 0 for the pin p and both knees k_i.
-        """
-        theta_1, theta_2 = _unstack(angles)
-        speed_1 = self.upper * np.stack([np.cos(theta_1), -np.sin(theta_1)], -1)
-        speed_2 = self.upper * np.stack([-np.cos(theta_2), -np.sin(theta_2)], -1)
-        along = self.pin(angles)[..., None, :] - np.stack(self.knees(angles), -2)
-        right = np.eye(2) * np.sum(along * np.stack([speed_1, speed_2], -2), -1)[..., None]
-        knee_speed = np.stack([np.zeros_like(speed_2), speed_2], -1)
-        plane = knee_speed + (np.linalg.solve(along, right) - knee_speed) * (self.foot / self.lower[1])
-        return np.insert(plane, 1, 0.0, axis=-2)
 
     def foot_kinematics(self, angles: Array) -> FootKinematics:
         """Return the poses of the lower links of motor 2 for motor angles (..., 2) [rad], and the motors' leverage."""

@@ -211,19 +211,6 @@ class SerialLegs:
         abduction = (turned + np.pi) % (2 * np.pi) - np.pi
         return np.stack([self.side * abduction, *self.plane_pose(np.stack([x, below - self.hip[:, 1]], -1))], axis=-2)
 
-    def jacobian(self, angles: ArrayLike) -> Array:
-        """Return the Jacobian (..., L, 3, m) [m/rad] of `foot_position` with respect to the motor angles."""
-        abduction, upper, beta = self._joints(angles)
-        cos, sin = np.cos(abduction), np.sin(abduction)
-        below = self.lower[:, None] * np.stack([-np.cos(upper + beta), np.sin(upper + beta)], -1)
-        both = below + self.upper[:, None] * np.stack([-np.cos(upper), np.sin(upper)], -1)
-        # In the base frame, the plane's z axis is (0, -sin a, cos a) with the abduction a.
-        columns = [np.stack([part[..., 0], -sin * part[..., 1], cos * part[..., 1]], -1) for part in (both, below)]
-        if self.abducts:
-            foot = self.foot_position(angles)
-            columns = [np.stack([np.zeros_like(cos), -foot[..., 2], foot[..., 1]], -1), *columns]
-        return np.stack(columns, axis=-1) * self.turn[:, None, :]
-
     def foot_kinematics(self, angles: Array) -> FootKinematics:
         """Return the poses of the lower links for motor angles (..., L, m) [rad], and the motors' leverage."""
         joints = angles * self.turn

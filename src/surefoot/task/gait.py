@@ -182,7 +182,7 @@ class HybridGait:
     def _weight_lead(self, motors: Array, state: CommandState | None) -> Array:
         """Return the deflection of the actuators under the robot's weight, J^T F / k_p, as angles (N, M) [rad]."""
         index, reference = self.robot.leg_motor_index, self.reference
-        rise = self.robot.leg_geometry.jacobian(motors[:, index])[..., 2, :]
+        rise = self.robot.leg_geometry.foot_kinematics(motors[:, index]).jacobian[..., 2, :]
         lead = np.empty_like(motors)
         lead[:, index] = -reference.feedforward.weight * reference.load(state)[..., None] * rise
         return lead

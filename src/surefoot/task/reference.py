@@ -19,8 +19,8 @@ from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import CommandState
-from surefoot.task.foot_kinematics import FootKinematics
 from surefoot.task.foot_paths import FootPaths
+from surefoot.task.stepping_kinematics import SteppingKinematics
 from surefoot.task.stride_choice import StrideChoice
 
 Extent = tuple[tuple[float, float], ...]
@@ -161,7 +161,7 @@ class FollowingReference(Reference):
         return self.feedforward.moves_poses
 
     @property
-    def kinematics(self) -> FootKinematics:
+    def kinematics(self) -> SteppingKinematics:
         """Kinematics of the feet."""
         return self.choice.kinematics
 

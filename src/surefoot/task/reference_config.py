@@ -15,11 +15,11 @@ from surefoot.configuration import Within, check_bounds
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.commands import CommandLimits
-from surefoot.task.foot_kinematics import FootKinematics
 from surefoot.task.gait_switch import GaitSwitch
 from surefoot.task.leg_config import FootConfig, WaveConfig, check_names
 from surefoot.task.periodic_references import FootReference, SineReference, TableReference, read_columns
 from surefoot.task.reference import Feedforward, FollowingReference, Reference
+from surefoot.task.stepping_kinematics import SteppingKinematics
 from surefoot.task.stride_choice import StrideChoice
 
 VelocityLead = Annotated[float, Within(0, 10)]
@@ -229,7 +229,7 @@ class FollowReferenceConfig(ReferenceConfig):
     ) -> StrideChoice:
         """Return the stride choice of one of the two gaits."""
         length = robot.leg_geometry.length if self.relative else 1.0
-        kinematics = FootKinematics(
+        kinematics = SteppingKinematics(
             robot,
             gait.foot.paths(robot, self.relative),
             self.clearance_rise,

@@ -13,7 +13,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.robot.commands import CommandLimits
 from surefoot.task.commands import MAX_HEADING_ERROR, CommandState
-from surefoot.task.foot_kinematics import FootKinematics
+from surefoot.task.stepping_kinematics import SteppingKinematics
 
 _STRIDE_PHASES = 48
 """Number of phases of a cycle at which the reach of strides is checked."""
@@ -27,7 +27,7 @@ _FOOTHOLD_DIRECTIONS = 8
 class StrideChoice:
     """Strides of L legs and gait frequency for N commands."""
 
-    kinematics: FootKinematics
+    kinematics: SteppingKinematics
     """Kinematics of the feet, with frequency and duty factor when stepping in place, and the maximum stride."""
     limits: CommandLimits
     """Limits of the commands."""

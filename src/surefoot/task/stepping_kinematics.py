@@ -29,7 +29,7 @@ _REACH_ASPECT_RATIO = 0.5
 
 
 @dataclass(frozen=True)
-class FootKinematics:
+class SteppingKinematics:
     """Leg poses of a robot with L legs whose feet follow strides in any direction.
 
     Raises:
