@@ -18,6 +18,7 @@ from processes import SUREFOOT, assert_rejected, surefoot, wait_until
 
 from surefoot.api.extras import install_command
 from surefoot.files import read_json_lines
+from surefoot.studies.study_config import load_study
 from surefoot.studies.training import Training
 
 TINY = """
@@ -168,6 +169,7 @@ def robots_study(folder: Path) -> Path:
         path = folder / f"results/hidden/robots/robot_{seed}.toml"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(f"[params]\nbase_mass_ratio = {mass}\nvoltage = 15.0\ncontrol_latency = 0.016\n")
+    load_study(folder / "hidden.yaml").hidden.write_settings(path.parent)
     return folder
 
 

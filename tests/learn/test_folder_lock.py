@@ -47,7 +47,7 @@ def test_an_unwritable_folder_is_rejected_in_one_line(tmp_path: Path):
     (tmp_path / "folder" / "lock").mkdir(parents=True)
     for name in ("file", "folder"):
         with (
-            pytest.raises(SurefootError, match=rf"{name}: can't be used for training: \w"),
+            pytest.raises(SurefootError, match=rf"{name}: can't be locked: \w"),
             folder_lock(tmp_path / name),
         ):
             pass

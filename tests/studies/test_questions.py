@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 pytest.importorskip("scipy")
@@ -90,8 +91,32 @@ def test_a_group_that_did_not_learn_is_excluded_only_from_claims_about_the_gap()
 def test_groups_without_results_are_left_out() -> None:
     result = answer(GAP, {"good": GOOD, "poor": POOR}, {})
     assert [one.left_out for one in result.comparisons] == ["", "no results"]
-    assert result.verdict == "holds, without 1 of 2 comparisons"
-    assert answer(Question("gap", "none", group="good", within=0.5), {}, {}).verdict == "not tested"
+    assert result.verdict == "not tested yet"  # a claim with two parts does not hold because of one
+    assert answer(Question("gap", "none", group="good", within=0.5), {}, {}).verdict == "not tested yet"
+
+
+def test_a_verdict_without_all_trainings_is_preliminary() -> None:
+    alone = Question("gap", "smaller", (("poor", "good"),), "less")
+    assert answer(alone, VALUES, {}, incomplete=["poor"]).verdict == "holds (preliminary: trainings are missing)"
+    assert answer(alone, VALUES, {}, incomplete=["fair"]).verdict == "holds"
+
+
+def test_policies_that_run_on_all_robots_add_the_variance_of_their_mean() -> None:
+    policies = np.array([1.9, 2.3, 2.0, 2.2])  # means over robots of the four policies of `poor`
+    (pair,) = answer(Question("gap", "?", (("poor", "good"),)), VALUES, {}, {"poor": policies}).comparisons
+    differences = np.array([GOOD[seed] - POOR[seed] for seed in GOOD])
+    parts = [differences.var(ddof=1) / 6, policies.var(ddof=1) / 4]
+    freedom = sum(parts) ** 2 / (parts[0] ** 2 / 5 + parts[1] ** 2 / 3)
+    half = stats.t.ppf(0.975, freedom) * math.sqrt(sum(parts))
+    assert (pair.interval.low, pair.interval.high) == pytest.approx((-2.005 - half, -2.005 + half))
+    assert pair.p == pytest.approx(2 * stats.t.sf(2.005 / math.sqrt(sum(parts)), freedom))
+    # Equivalence: the larger of two one-sided tests with the same standard error.
+    within = answer(Question("gap", "none", group="poor", within=3.0), VALUES, {}, {"poor": policies})
+    parts[0] = np.var(list(POOR.values()), ddof=1) / 6
+    freedom = sum(parts) ** 2 / (parts[0] ** 2 / 5 + parts[1] ** 2 / 3)
+    room = 3.0 - np.mean(list(POOR.values()))
+    assert within.p == pytest.approx(stats.t.sf(room / math.sqrt(sum(parts)), freedom))
+    assert within.comparisons[0].confidence == pytest.approx(0.9)
 
 
 @pytest.mark.parametrize("wrong", [{}, {"pairs": (("a", "b"),), "group": "a", "within": 0.5}, {"group": "a"}])

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from surefoot.configuration import read_yaml
+from surefoot.errors import SurefootError
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies import robot_identification
 from surefoot.studies.hidden_robots import HiddenRobots, OtherMotors
@@ -57,7 +59,7 @@ def test_every_robot_is_identified_once_and_failures_do_not_stop_others() -> Non
     assert ended == [(1, ""), (2, failed[2]), (3, "")]
     # Experiments run in order, the first two on the rack; a robot's file appears when all are done.
     assert (folder / "robot_1.toml").read_text().split() == ["motor", "latency", "mass", "contact"]
-    assert sorted(path.name for path in folder.iterdir()) == ["robot_1.toml", "robot_3.toml"]
+    assert sorted(path.name for path in folder.iterdir()) == ["hidden.yaml", "robot_1.toml", "robot_3.toml"]
     emulated = [words for words in calls() if words[0] == "emulate"]
     assert ["--rack" in words for words in emulated[:4]] == [True, True, False, False]
     assert {words[words.index("--hidden-ranges") + 1] for words in emulated} == {"work/ranges.yaml"}
@@ -85,3 +87,20 @@ def test_a_stop_leaves_no_partial_file() -> None:
 
     assert identify_robots(ROBOTS, Path("robots"), Path("work"), 1, lambda *_: None, stopped) == {}
     assert unidentified_robots(ROBOTS, Path("robots")) == [1, 2, 3]
+
+
+def test_robots_of_other_settings_are_not_taken_for_the_studys() -> None:
+    folder = Path("robots")
+    ROBOTS.check_settings(folder)  # nothing is identified yet
+    ROBOTS.write_settings(folder)
+    (folder / "robot_1.toml").write_text("")
+    ROBOTS.check_settings(folder)
+    other_motors = OtherMotors((3,), {"voltage_clip": 6.0}, "another name in tables")
+    replace(ROBOTS, seeds=(1, 2, 3, 4), starts=5, other_motors=other_motors).check_settings(folder)
+    wrong = replace(ROBOTS, ranges={**ROBOTS.ranges, "voltage": (14.0, 15.0)}, world="mujoco")
+    with pytest.raises(SurefootError, match=r"hidden\.yaml: .* with other robots\.ranges, robots\.world than"):
+        identify_robots(wrong, folder, Path("work"), 1, lambda *_: None)
+    assert not calls()
+    (folder / "hidden.yaml").unlink()
+    with pytest.raises(SurefootError, match=r"hidden\.yaml: can't be read: No such file"):
+        ROBOTS.check_settings(folder)

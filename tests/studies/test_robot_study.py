@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,7 @@ pytest.importorskip("matplotlib")
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import data_sheet_task
+from surefoot.evaluation.statistics import t_interval
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params, write_params
 from surefoot.robot.randomization import load_ranges
@@ -259,7 +261,8 @@ def test_the_report_has_claims_groups_robots_and_figures(tmp_path: Path) -> None
         "## Robots with limited motors",
         "| `base_mass_ratio` | 1 of 1 |",
         "| `voltage` | 0 of 1 |",
-        "| I | robot_3 | own | 2 | 2.70 | 1.20 | 1.50 | 50.0 | 0.0 |",
+        "| I | robot_3 | as in the data sheet | 2 | 2.70 | 1.20 | 1.50 | 50.0 | 0.0 |",
+        "The policies of 'sheet' were trained once, on the robot of the data sheet",
     ):
         assert part in text, part
     names = {path.name for path in out.iterdir()}
@@ -269,7 +272,43 @@ def test_the_report_has_claims_groups_robots_and_figures(tmp_path: Path) -> None
     assert all((out / f"returns_{family}.png").stat().st_size > 5000 for family in ("all", "own", "other"))
     assert len(tables["episodes"]) == 2 * 4 * 2 * 4 + 3 * (2 + 8)
     assert "Not complete" not in text
+    # The policies of `sheet` are the same on all robots: the return in their simulator varies over policies only.
+    home = tables["groups"].set_index(["group", "motors", "figure"]).loc[("sheet", "all", "home")]
+    policies = t_interval(comparison(few).policies.groupby("seed").home.mean())
+    assert (home["mean_low"], home["mean_high"]) == pytest.approx((policies.low, policies.high))
     assert report_from_tables(few, out, "surefoot study few.yaml") == text
+
+
+def test_true_values_are_those_that_an_experiment_can_find(tmp_path: Path) -> None:
+    few, robots = study(tmp_path), tmp_path / "robots"
+    folder = tmp_path / "other"
+    rows = {}
+    for seed in (1, 4):
+        write_robot(robots, seed, imu_bias=0.01, motor_friction=0.03, servo_kp=1.01, motor_strength=0.9)
+        file = read_params(robots / f"robot_{seed}.toml", MINITAUR)
+        intervals = {"imu_bias": [[-1.0, 1.0]] * 2, "motor_friction": [[0.0, 1.0]] * 8, "servo_kp": [0.9, 1.1]}
+        file = replace(file, tables={"intervals": {**intervals, "motor_strength": [[0.5, 1.5]] * 8}})
+        for row in parameter_rows(few, {seed: file}, folder):
+            rows.setdefault((seed, row["parameter"]), []).append(row)
+    truth = few.hidden.params(1, folder)
+    true = [row["true"] for row in rows[1, "imu_bias"]]
+    assert true == pytest.approx(list(truth.imu_bias[0] + truth.imu_mount[0, :2]))
+    true = [row["true"] for row in rows[1, "motor_friction"]]
+    assert true == pytest.approx(list(truth.motor_friction[0] + truth.knee_friction[0]))
+    # One interval for all motors is one estimate.
+    assert [(row["part"], row["true"], row["inside"]) for row in rows[1, "servo_kp"]] == [("", 1.0, True)]
+    # The strength of motors of another family is relative to another curve.
+    assert [row["inside"] for row in rows[1, "motor_strength"]] == [True] * 8
+    assert [row["inside"] for row in rows[4, "motor_strength"]] == [None] * 8
+    assert all(math.isnan(row["true"]) for row in rows[4, "motor_strength"])
+
+
+def test_seeds_on_the_command_line_do_not_change_what_a_complete_study_is(tmp_path: Path) -> None:
+    few = study(tmp_path)
+    one, more = few.with_seeds((1,)), few.with_more_seeds((1, 7))
+    assert [one.seeds_of(group) for group in few.groups] == [(1,)] * 3
+    assert [more.seeds_of(group) for group in few.groups] == [(0, 1, 7), (0, 1, 7), (0, 1, 2, 7)]
+    assert few.with_more_seeds((0,)) == few
 
 
 def test_a_report_says_which_trainings_are_missing(tmp_path: Path) -> None:
@@ -278,7 +317,7 @@ def test_a_report_says_which_trainings_are_missing(tmp_path: Path) -> None:
     whole = comparison(few)
     rows = whole.episodes
     some = rows[(rows.group != "sheet") & ~((rows.group == "plain") & (rows.robot == "robot_2") & (rows.seed == 1))]
-    assert whole.missing == []
+    assert whole.missing == {}
     text = write_robot_report(RobotComparison(few, some), [], out, "surefoot study few.yaml").read_text()
     missing = "1 of 8 trainings of 'I', 3 of 3 trainings of 'sheet'"
     assert f"**Not complete.** Not in this report: {missing}.\n" in text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import sys
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -97,18 +97,18 @@ def _run(argv: list[str]) -> int:
         robots_folder,
     )
 
-    study = load_study(command.file)
-    check_evaluations(study, worlds=not command.train_only)
-    if command.seeds:
-        groups = {name: replace(group, seeds=()) for name, group in study.groups.items()}
-        study = replace(study, seeds=command.seeds, groups=groups)
+    whole = load_study(command.file)
+    check_evaluations(whole, worlds=not command.train_only)
     if command.steps is not None:
-        study = study.with_steps(command.steps)
+        whole = whole.with_steps(command.steps)
+    study = whole.with_seeds(command.seeds) if command.seeds else whole
     root, out = _folders(study, command.out)
     console, failed = make_console(), dict[str, str]()
     needs_robots = any(study.groups[name].identified for name in command.only or study.groups if name in study.groups)
-    if study.robots is not None and needs_robots and not command.report_only:
-        failed = identify(study.robots, study.name, root, out, command.workers, console)
+    if study.robots is not None and needs_robots:
+        study.robots.check_settings(robots_folder(out))
+        if not command.report_only:
+            failed = identify(study.robots, study.name, root, out, command.workers, console)
     runs = study_runs(study, root, command.only, robots_folder(out))
     for run in runs:
         run.check(extend=command.extend)
@@ -123,7 +123,7 @@ def _run(argv: list[str]) -> int:
     if not command.train_only:
         evaluate_runs(study, runs, root, command.workers, console)
         write = report if study.robots is None else report_robots
-        write(study, root, out, shlex.join(["surefoot", "study", *argv]), console)
+        write(whole.with_more_seeds(command.seeds), root, out, shlex.join(["surefoot", "study", *argv]), console)
     return _end(failed)
 
 
@@ -159,6 +159,7 @@ def identify(robots: HiddenRobots, name: str, root: Path, out: Path, workers: in
     from surefoot.studies.robot_identification import identify_robots, unidentified_robots
 
     folder = robots_folder(out)
+    robots.check_settings(folder)
     waiting, start, count = unidentified_robots(robots, folder), time.perf_counter(), 0
     if not waiting:
         console.print(f"{name}: all {len(robots.seeds)} robots are identified")

@@ -96,23 +96,38 @@ def t_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
     return interval if interval.is_finite else Interval(interval.mean, values=tuple(map(float, array)))
 
 
-def equivalence_p_value(values: ArrayLike, bound: float) -> float:
-    """Return the p value of the claim that the mean of samples (N,) is within +-bound (equivalence test).
+def robots_interval(values: ArrayLike, policies: Sequence[ArrayLike] = (), confidence: float = CONFIDENCE) -> Interval:
+    """Return the mean of one value, or paired difference, per robot (R,), with Student's t interval.
+
+    Robots on which the same policies run are not independent: values share the deviation of these policies' mean. For
+    each group of such policies the variance of its mean is added, with Satterthwaite's degrees of freedom.
+
+    Args:
+        values: one value per robot (R,).
+        policies: for each group whose P policies run on all robots, the mean over robots of each policy (P,).
+        confidence: probability that the interval covers the true mean.
+    """
+    samples = [np.asarray(sample, np.float64) for sample in (values, *policies)]
+    return _satterthwaite(samples, confidence=confidence) if policies else t_interval(samples[0], confidence)
+
+
+def equivalence_p_value(values: ArrayLike, bound: float, policies: Sequence[ArrayLike] = ()) -> float:
+    """Return the p value of the claim that the mean over robots is within +-bound (equivalence test).
 
     It is the larger p value of two one-sided t tests, against mean <= -bound and mean >= bound (Schuirmann 1987). It is
     below a level exactly if the interval with confidence 1 - 2 level is within the bounds. NaN for fewer than
-    `MIN_SAMPLES`.
+    `MIN_SAMPLES`. Arguments are those of `robots_interval`.
     """
     from scipy.special import stdtr
 
-    array = np.asarray(values, np.float64)
-    if len(array) < MIN_SAMPLES:
+    samples = [np.asarray(sample, np.float64) for sample in (values, *policies)]
+    if min(map(len, samples)) < MIN_SAMPLES:
         return math.nan
-    room = bound - abs(float(array.mean()))
-    error = float(array.std(ddof=1)) / math.sqrt(len(array))
-    if error == 0:
+    room = bound - abs(float(samples[0].mean()))
+    variance, freedom = _variance_of_sum(samples)
+    if variance == 0:
         return float(room <= 0)
-    return float(stdtr(len(array) - 1, -room / error))
+    return float(stdtr(freedom, -room / math.sqrt(variance)))
 
 
 def proportion_interval(proportions: ArrayLike, trials: int) -> Interval:

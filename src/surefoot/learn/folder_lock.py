@@ -14,7 +14,7 @@ from surefoot.files import remove_abandoned
 
 
 @contextmanager
-def folder_lock(path: Path, timeout: float = 0.0) -> Iterator[None]:
+def folder_lock(path: Path, timeout: float = 0.0, purpose: str = "trains") -> Iterator[None]:
     """Lock a folder, so that no other process trains in it, and remove unfinished files of killed processes.
 
     The operating system releases the lock when a process ends or is killed. The file `lock` stays and contains the
@@ -23,6 +23,7 @@ def folder_lock(path: Path, timeout: float = 0.0) -> Iterator[None]:
     Args:
         path: the folder.
         timeout: maximum time to wait for another process [s].
+        purpose: what the process does with the folder, for messages.
 
     Raises:
         SurefootError: another process holds the lock, or the folder is not writable.
@@ -32,9 +33,9 @@ def folder_lock(path: Path, timeout: float = 0.0) -> Iterator[None]:
         held = lock.acquire()
         Path(lock.lock_file).write_text(f"{os.getpid()}\n")
     except Timeout:
-        raise SurefootError(f"{path}: another process trains in this folder; wait for it, or end it") from None
+        raise SurefootError(f"{path}: another process {purpose} in this folder; wait for it, or end it") from None
     except OSError as error:
-        raise SurefootError(f"{path}: can't be used for training: {error.strerror}") from error
+        raise SurefootError(f"{path}: can't be locked: {error.strerror}") from error
     with held:
         for folder in (path, path / "checkpoints"):
             remove_abandoned(folder)

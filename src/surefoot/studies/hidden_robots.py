@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
-from surefoot.configuration import Seed, Within, read_toml, to_mapping
+from surefoot.configuration import Seed, Within, read_toml, read_yaml, to_mapping, write_yaml
 from surefoot.errors import SurefootError, choices, suggest
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.archive import DATA_SHEET, copy_robot
@@ -16,6 +17,8 @@ from surefoot.robot.randomization import Ranges, check_ranges, draw_hidden
 
 DATA_SHEET_MOTORS, OTHER_MOTORS = "own", "other"
 """Motor families: the data sheet's, which the training simulators model, and another one."""
+_SETTINGS = "hidden.yaml"
+"""File with the settings of the robots that are identified in a folder."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +91,31 @@ class HiddenRobots:
 
     def settings(self) -> dict[str, Any]:
         """Return everything on which the robots' physics depend, for JSON."""
-        data = to_mapping(self)
+        data: dict[str, Any] = json.loads(json.dumps(to_mapping(self)))
+        if data["other_motors"]:
+            del data["other_motors"]["label"]
         return {name: data[name] for name in ("ranges", "world", "other_motors", "robot")}
+
+    def check_settings(self, folder: Path) -> None:
+        """Check that the robots identified in a folder are these robots.
+
+        Raises:
+            SurefootError: their physics depend on other settings, or the file with these settings can't be read.
+        """
+        if not any(robot_file(folder, seed).is_file() for seed in self.seeds):
+            return
+        path = folder / _SETTINGS
+        stored, own = read_yaml(path), self.settings()
+        if different := [f"robots.{name}" for name in own if stored.get(name) != own[name]]:
+            raise SurefootError(
+                f"{path}: the robots in this folder were identified with other {', '.join(different)} than the study "
+                "has; restore them, or move the folder away to identify the study's robots"
+            )
+
+    def write_settings(self, folder: Path) -> None:
+        """Write the settings on which the robots' physics depend into the folder of their files."""
+        folder.mkdir(parents=True, exist_ok=True)
+        write_yaml(folder / _SETTINGS, self.settings())
 
 
 def check_identified(names: tuple[str, ...], where: str) -> None:

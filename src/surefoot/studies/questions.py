@@ -9,7 +9,7 @@ Holm's method. There is no correction across questions.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,7 +18,7 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.configuration import Positive
 from surefoot.errors import SurefootError, suggest
-from surefoot.evaluation.statistics import CONFIDENCE, Interval, equivalence_p_value, holm, t_interval
+from surefoot.evaluation.statistics import CONFIDENCE, Interval, equivalence_p_value, holm, robots_interval
 
 METRICS = {
     "home": ("return in training simulator", "m", 2),
@@ -29,6 +29,8 @@ METRICS = {
 }
 """Metrics of a group on a robot: title, unit and decimals."""
 LEVEL = 1 - CONFIDENCE
+NO_RESULTS = "no results"
+"""Reason that a comparison is left out because a group has no results yet."""
 
 
 @dataclass(frozen=True)
@@ -83,9 +85,11 @@ class ComparedPair:
     against: str
     """Empty for a single group."""
     interval: Interval
-    """95 % interval; 90 % for a claim of equivalence, which is two one-sided tests at 5 %."""
     p: float
-    """p value of this part of the claim; two-sided for a question without a claim."""
+    """p value: two-sided for a difference, and 1 if it has not the claimed sign; the larger of two one-sided tests for
+    a claim of equivalence."""
+    confidence: float = CONFIDENCE
+    """Confidence of the interval: 90 % for a claim of equivalence, which is two one-sided tests at 5 %."""
     p_holm: float = math.nan
     robots: int = 0
     left_out: str = ""
@@ -98,6 +102,8 @@ class Answer:
 
     question: Question
     comparisons: tuple[ComparedPair, ...]
+    preliminary: bool = False
+    """Whether trainings of its groups are missing."""
 
     @property
     def tested(self) -> list[ComparedPair]:
@@ -106,9 +112,13 @@ class Answer:
 
     @property
     def p(self) -> float:
-        """Maximum p value of the claim's parts; NaN without a claim or parts."""
+        """Maximum p value of the claim's parts; NaN without a claim or parts, or if a part has no results yet."""
         values = [one.p for one in self.tested]
-        return float(np.max(values)) if self.question.is_claim and values else math.nan
+        return float(np.max(values)) if self.question.is_claim and values and not self._is_waiting else math.nan
+
+    @property
+    def _is_waiting(self) -> bool:
+        return any(one.left_out == NO_RESULTS for one in self.comparisons)
 
     @property
     def verdict(self) -> str:
@@ -116,43 +126,52 @@ class Answer:
         if not self.question.is_claim:
             return ""
         if math.isnan(self.p):
-            return "not tested"
+            return "not tested yet" if self._is_waiting else "not tested"
         result = "holds" if self.p < LEVEL else "not significant"
-        count = len(self.comparisons) - len(self.tested)
-        return f"{result}, without {count} of {len(self.comparisons)} comparisons" if count else result
+        if count := len(self.comparisons) - len(self.tested):
+            result += f", without {count} of {len(self.comparisons)} comparisons"
+        return f"{result} (preliminary: trainings are missing)" if self.preliminary else result
 
 
 Values = Mapping[str, Mapping[int, float]]
 """A metric of each group by robot."""
 
 
-def answer(question: Question, values: Values, not_learned: Mapping[str, str]) -> Answer:
+def answer(
+    question: Question,
+    values: Values,
+    not_learned: Mapping[str, str],
+    policies: Mapping[str, Array] | None = None,
+    incomplete: Collection[str] = (),
+) -> Answer:
     """Return the answer to a question.
 
     Args:
         question: the question; groups without values are left out.
         values: the question's metric, by group and robot.
         not_learned: groups that did not learn, with the reason; they are excluded from claims about the gap.
+        policies: for each group whose policies run on all robots, the mean over robots of each policy (P,).
+        incomplete: groups of which trainings are missing.
     """
     excluded = not_learned if question.figure == "gap" and question.is_claim else {}
-    if question.within is not None:
-        table = values.get(question.group, {})
-        numbers = np.array(list(table.values()))
-        interval = t_interval(numbers, 1 - 2 * LEVEL)
-        reason = excluded.get(question.group, "") or ("" if len(numbers) else "no results")
-        p = equivalence_p_value(numbers, question.within)
-        return Answer(question, (ComparedPair(question.group, "", interval, p, robots=len(numbers), left_out=reason),))
+    preliminary = not set(question.groups).isdisjoint(incomplete)
     comparisons = []
-    for against, group in question.pairs:
-        differences = _paired(values, group, against)
-        interval = t_interval(differences)
-        reason = excluded.get(group) or excluded.get(against) or ("" if len(differences) else "no results")
-        p = _p_of_claim(interval, question.expect) if question.expect else interval.p
-        comparisons.append(ComparedPair(group, against, interval, p, robots=len(differences), left_out=reason))
+    for against, group in question.pairs or (("", question.group),):
+        names = [name for name in (group, against) if name]
+        numbers = _paired(values, group, against) if against else np.array([*values.get(group, {}).values()])
+        shared = [(policies or {})[name] for name in names if name in (policies or {})]
+        reason = next((excluded[name] for name in names if name in excluded), "" if len(numbers) else NO_RESULTS)
+        confidence = CONFIDENCE if question.within is None else 1 - 2 * LEVEL
+        interval = robots_interval(numbers, shared, confidence) if len(numbers) else Interval(math.nan)
+        if question.within is not None:
+            p = equivalence_p_value(numbers, question.within, shared)
+        else:
+            p = _p_of_claim(interval, question.expect) if question.expect else interval.p
+        comparisons.append(ComparedPair(group, against, interval, p, confidence, robots=len(numbers), left_out=reason))
     if not question.is_claim:
         adjusted = holm([one.p for one in comparisons])
         comparisons = [replace(one, p_holm=float(p)) for one, p in zip(comparisons, adjusted, strict=True)]
-    return Answer(question, tuple(comparisons))
+    return Answer(question, tuple(comparisons), preliminary)
 
 
 def _paired(values: Values, group: str, against: str) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from surefoot.evaluation.statistics import Interval, t_interval
-from surefoot.robot import RobotDescription
+from surefoot.arrays import Array
+from surefoot.evaluation.statistics import Interval, crossed_interval, t_interval
+from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.params_file import ParamsFile
 from surefoot.studies.comparison import FAR_DISTANCE
 from surefoot.studies.evaluations import Result
-from surefoot.studies.hidden_robots import robot_name
+from surefoot.studies.hidden_robots import OTHER_MOTORS, robot_name
 from surefoot.studies.questions import METRICS, Answer, Values, answer
 from surefoot.studies.robot_runs import HOME
 from surefoot.studies.study_config import StudyConfig
@@ -33,6 +34,8 @@ CONTENTS = {
 """Description of each table."""
 ALL = "all"
 """Value of the column `motors` in rows over all robots."""
+_TORQUE_LAW = ("torque_constant", "resistance", "motor_strength")
+"""Parameters of the motor model that describe a motor of another family without being a property of it."""
 
 
 @dataclass(frozen=True)
@@ -45,18 +48,41 @@ class RobotComparison:
     of `measure_runs`, where world is `HOME` or the name of the robot."""
 
     @cached_property
-    def missing(self) -> list[str]:
-        """Number of trainings that are missing in the comparison, for each group with missing ones."""
+    def missing(self) -> dict[str, tuple[int, int]]:
+        """For each group of which trainings are missing in the comparison: their number, and that of all trainings."""
         found = self.episodes[["group", "robot", "seed"]].drop_duplicates().group.value_counts()
         counts = {
-            group: (len(self.study.trained_on(group)) * len(self.study.seeds_of(group)), int(found.get(group, 0)))
-            for group in self.study.groups
+            group: len(self.study.trained_on(group)) * len(self.study.seeds_of(group)) for group in self.study.groups
         }
-        return [
-            f"{count - present} of {count} trainings of '{self.study.label(group)}'"
-            for group, (count, present) in counts.items()
-            if present < count
-        ]
+        missing = {group: count - int(found.get(group, 0)) for group, count in counts.items()}
+        return {group: (number, counts[group]) for group, number in missing.items() if number > 0}
+
+    @property
+    def missing_text(self) -> str:
+        """`missing` in words; empty if nothing is missing."""
+        return ", ".join(
+            f"{number} of {count} trainings of '{self.study.label(group)}'"
+            for group, (number, count) in self.missing.items()
+        )
+
+    @property
+    def shared(self) -> list[str]:
+        """Groups that are trained once, for the robot of the data sheet, and whose policies run on all robots."""
+        return [group for group in self.groups if self.study.trained_on(group) == (None,)]
+
+    @cached_property
+    def policies(self) -> pd.DataFrame:
+        """One row per policy of the groups in `shared` and robot: group, seed, robot, motors, and `METRICS`."""
+        rows = []
+        for group in self.shared:
+            for seed, runs in self.episodes[self.episodes.group == group].groupby("seed"):
+                home = runs[runs.world == HOME]
+                for robot in self.study.hidden.seeds:
+                    on_robot = runs[runs.world == robot_name(robot)]
+                    if len(on_robot):
+                        row = {"group": group, "seed": seed, "robot": robot, "motors": self.study.hidden.family(robot)}
+                        rows.append(row | _metrics(home, on_robot))
+        return pd.DataFrame(rows)
 
     @cached_property
     def robots(self) -> pd.DataFrame:
@@ -91,9 +117,17 @@ class RobotComparison:
         return self.robots if family == ALL else self.robots[self.robots.motors == family]
 
     def interval(self, group: str, metric: str, family: str = ALL) -> Interval:
-        """Return the mean of a metric over robots with its interval."""
+        """Return the mean of a metric over robots with its interval, also over policies if all robots have the same."""
+        if group in self.shared:
+            return crossed_interval(self._table(group, metric, family))
         rows = self.select_family(family)
         return t_interval(rows[rows.group == group][metric])
+
+    def _table(self, group: str, metric: str, family: str = ALL) -> Array:
+        """Return a metric of a group in `shared`, by policy and robot (P, R)."""
+        rows = self.policies[self.policies.group == group]
+        rows = rows if family == ALL else rows[rows.motors == family]
+        return rows.pivot(index="seed", columns="robot", values=metric).to_numpy()
 
     @property
     def not_learned(self) -> dict[str, str]:
@@ -119,7 +153,16 @@ class RobotComparison:
         """Answers to the study's questions by name, primary questions first."""
         names, not_learned = [*self.study.primary_questions, *self.study.questions], self.not_learned
         questions = {name: self.study.questions[name] for name in names}
-        return {name: answer(one, self.values(one.figure), not_learned) for name, one in questions.items()}
+        return {
+            name: answer(
+                one,
+                self.values(one.figure),
+                not_learned,
+                {group: self._table(group, one.figure).mean(axis=1) for group in self.shared},
+                self.missing,
+            )
+            for name, one in questions.items()
+        }
 
 
 def _metrics(home: pd.DataFrame, on_robot: pd.DataFrame) -> dict[str, float]:
@@ -145,6 +188,10 @@ def episode_rows(run: Training, result: Result) -> pd.DataFrame:
 def parameter_rows(study: StudyConfig, files: Mapping[int, ParamsFile], folder: Path) -> list[dict[str, Any]]:
     """Return one row per identified number, with its true value and its interval.
 
+    The true value is the one that an experiment can find: roll and pitch of the IMU include its mounting error, and the
+    friction of motors that of the knees that they turn. Motors of another family have no true value of the parameters
+    in `_TORQUE_LAW`. Parameters with one interval for all motors have one row.
+
     Args:
         study: the study.
         files: identified parameters by robot.
@@ -152,18 +199,33 @@ def parameter_rows(study: StudyConfig, files: Mapping[int, ParamsFile], folder: 
     """
     motors, rows = RobotDescription.load(study.hidden.robot).motor_names, []
     for seed, file in files.items():
-        truth, intervals = study.hidden.params(seed, folder), file.tables.get("intervals", {})
+        family, intervals = study.hidden.family(seed), file.tables.get("intervals", {})
+        truth = _observable(study.hidden.params(seed, folder))
         for name in file.names:
             true, estimate = (np.atleast_1d(getattr(params, name)[0]) for params in (truth, file.params))
-            bounds = np.broadcast_to(np.asarray(intervals.get(name, (np.nan, np.nan)), float), (len(true), 2))
+            bounds = np.asarray(intervals.get(name, np.full((len(true), 2), np.nan)), float)
             parts = PARAMETERS[name].element_names(motors) or ("",)
+            if bounds.ndim == 1:
+                true, estimate = true.mean(keepdims=True), estimate.mean(keepdims=True)
+                bounds, parts = bounds[None], ("",)
+            if family == OTHER_MOTORS and name in _TORQUE_LAW:
+                true = np.full(len(parts), np.nan)
             for k, part in enumerate(parts):
                 low, high = map(float, bounds[k])
-                row = {"robot": seed, "motors": study.hidden.family(seed), "parameter": name, "part": part}
+                row = {"robot": seed, "motors": family, "parameter": name, "part": part}
                 row |= {"true": float(true[k]), "identified": float(estimate[k]), "low": low, "high": high}
-                has_interval = np.isfinite(low) and np.isfinite(high)
-                rows.append(row | {"inside": bool(low <= true[k] <= high) if has_interval else None})
+                has_both = np.isfinite([low, high, true[k]]).all()
+                rows.append(row | {"inside": bool(low <= true[k] <= high) if has_both else None})
     return rows
+
+
+def _observable(truth: PhysicalParams) -> PhysicalParams:
+    """Return true parameters with the sums that no experiment can separate."""
+    return replace(
+        truth,
+        imu_bias=truth.imu_bias + truth.imu_mount[:, :2],
+        motor_friction=truth.motor_friction + truth.knee_friction[:, None],
+    )
 
 
 def robot_tables(comparison: RobotComparison, parameters: Sequence[dict[str, Any]]) -> dict[str, pd.DataFrame]:
@@ -180,7 +242,14 @@ def robot_tables(comparison: RobotComparison, parameters: Sequence[dict[str, Any
     questions = [
         {"question": name, "primary": name in study.primary_questions, "figure": one.question.figure}
         | {"group": pair.group, "against": pair.against, "robots": pair.robots, **pair.interval.columns("value")}
-        | {"p": pair.p, "p_holm": pair.p_holm, "p_claim": one.p, "verdict": one.verdict, "left_out": pair.left_out}
+        | {
+            "confidence": pair.confidence,
+            "p": pair.p,
+            "p_holm": pair.p_holm,
+            "p_claim": one.p,
+            "verdict": one.verdict,
+            "left_out": pair.left_out,
+        }
         for name, one in comparison.answers.items()
         for pair in one.comparisons
     ]

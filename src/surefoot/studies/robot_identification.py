@@ -18,6 +18,7 @@ from pathlib import Path
 from surefoot.configuration import to_mapping, write_yaml
 from surefoot.errors import SurefootError
 from surefoot.files import atomic_write
+from surefoot.learn.folder_lock import folder_lock
 from surefoot.studies.hidden_robots import HiddenRobots, other_motors_folder, robot_file, robot_name
 
 SUREFOOT_COMMAND = (sys.executable, "-m", "surefoot")
@@ -123,7 +124,12 @@ def identify_robots(
 
     Returns:
         Errors by the robot's seed.
+
+    Raises:
+        SurefootError: the folder has robots of other settings, or another process identifies robots here.
     """
+    robots.check_settings(folder)
+    robots.write_settings(folder)
     work.mkdir(parents=True, exist_ok=True)
     ranges = work / "ranges.yaml"
     write_yaml(ranges, to_mapping(robots)["ranges"])
@@ -135,7 +141,7 @@ def identify_robots(
         path, place = robot_file(folder, seed), work / robot_name(seed)
         return not stopped() and identify_robot((*options, "--seed", seed), path, place, robots.robot, stopped)
 
-    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
+    with folder_lock(work, purpose="identifies robots"), ThreadPoolExecutor(workers or os.cpu_count()) as pool:
         futures = {pool.submit(identify, seed): seed for seed in unidentified_robots(robots, folder)}
         for future in as_completed(futures):
             seed, error = futures[future], ""

@@ -21,13 +21,26 @@ from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import markdown, with_unit, write_csv
 
 _HOW_TO_READ = (
-    "Each robot was identified through its link, and the policies of a group with identified parameters were trained "
-    "for that robot. A group's value on a robot is the mean over seeds and starts; {confidence:.0%} confidence "
-    "intervals (Student's t) and paired differences are over robots. Gap: return in the training simulator minus "
-    "return on the robot. A fall is a run in which the robot did not keep its balance to the end. Every part of a "
-    "claim is tested at {level:.2g}, and the claim's p value is their maximum (intersection-union test), without "
-    "correction. A claim of equivalence has two one-sided tests, and a 90 % interval. Comparisons without a claim have "
-    "Holm's correction within their question."
+    "Each robot was identified through its link. Policies were trained for one robot, in a simulator with its "
+    "identified parameters, and run in that simulator and on that robot, without pushes.{shared} A group's value on a "
+    "robot is the mean over seeds and starts, all robots with the same seeds of trainings.",
+    "Gap: return in the training simulator minus return on the robot, with its sign; it is negative if a policy does "
+    "better on the robot. Claims are about means over robots. A fall is a run in which the robot did not keep its "
+    "balance to the end. {confidence:.0%} confidence intervals (Student's t) and paired differences are over robots"
+    "{and_policies}.",
+    "Every part of a claim is tested at {level:.2g}, and the claim's p value is their maximum (intersection-union "
+    "test), without correction. p values of differences are two-sided, and 1 if the difference has the other sign. A "
+    "claim of equivalence has two one-sided tests, and a 90 % interval. p values of comparisons without a claim are "
+    "corrected within their question by Holm's method.",
+)
+_SHARED = (
+    " The policies of {names} were trained once, on the robot of the data sheet, and run in that simulator and on all "
+    "robots."
+)
+_PARAMETERS = (
+    "The true `imu_bias` includes the mounting error of the IMU, and the true `motor_friction` that of the knees, "
+    "because no experiment separates them. The parameters of the motor model are no property of motors of another "
+    "family, so they have no true value there."
 )
 
 
@@ -58,15 +71,15 @@ def report_from_tables(study: StudyConfig, folder: Path, command: str) -> str:
     tables["episodes"]["robot"] = tables["episodes"]["robot"].fillna("")
     comparison = RobotComparison(study, tables["episodes"])
     parts = [
-        *([f"**Not complete.** Not in this report: {', '.join(comparison.missing)}."] if comparison.missing else []),
+        *([f"**Not complete.** Not in this report: {comparison.missing_text}."] if comparison.missing else []),
         *_claims(comparison),
         "## How to read",
-        _HOW_TO_READ.format(confidence=CONFIDENCE, level=LEVEL),
+        *_how_to_read(comparison),
         *[part for family in comparison.families for part in _results(comparison, family)],
         *_open_questions(comparison),
         "## Every robot",
         *_every_robot(comparison),
-        *(_parameters(tables["parameters"]) if "parameters" in tables else []),
+        *(_parameters(comparison, tables["parameters"]) if "parameters" in tables else []),
     ]
     listed = {f"{name}.csv": CONTENTS[name] for name in tables}
     return readme(f"Study: {comparison.study.name}", command, parts, listed)
@@ -74,6 +87,19 @@ def report_from_tables(study: StudyConfig, folder: Path, command: str) -> str:
 
 def _figure_file(family: str) -> str:
     return f"returns_{family}.png"
+
+
+def _how_to_read(comparison: RobotComparison) -> list[str]:
+    names = " and ".join(f"'{comparison.study.label(group)}'" for group in comparison.shared)
+    shared, and_policies = (_SHARED.format(names=names), f", and over policies for {names}") if names else ("", "")
+    texts = {"confidence": CONFIDENCE, "level": LEVEL, "shared": shared, "and_policies": and_policies}
+    return [part.format(**texts) for part in _HOW_TO_READ]
+
+
+def _motors(comparison: RobotComparison, family: str) -> str:
+    """Return the name of a motor family in tables."""
+    other = comparison.study.hidden.other_motors
+    return "as in the data sheet" if family == DATA_SHEET_MOTORS or other is None else other.label
 
 
 def _family_label(comparison: RobotComparison, family: str) -> str:
@@ -94,6 +120,7 @@ def _draw(comparison: RobotComparison, family: str, path: Path) -> None:
             comparison.study.label(group),
             part.home.to_numpy(),
             part.on_robot.to_numpy(),
+            (comparison.interval(str(group), "home", family), comparison.interval(str(group), "on_robot", family)),
             float(part.falls.mean()) / 100,
             (part.motors == OTHER_MOTORS).to_numpy(),
         )
@@ -169,7 +196,7 @@ def _every_robot(comparison: RobotComparison) -> list[str]:
         markdown(
             [
                 {"group": comparison.study.label(row["group"]), "robot": robot_name(row["robot"])}
-                | {"motors": row["motors"], "seeds": row["seeds"]}
+                | {"motors": _motors(comparison, row["motors"]), "seeds": row["seeds"]}
                 | {
                     with_unit(title, unit): decimal(row[name], digits)
                     for name, (title, unit, digits) in METRICS.items()
@@ -180,16 +207,20 @@ def _every_robot(comparison: RobotComparison) -> list[str]:
     ]
 
 
-def _parameters(table: pd.DataFrame) -> list[str]:
+def _parameters(comparison: RobotComparison, table: pd.DataFrame) -> list[str]:
     """Return how many intervals of identified parameters contain the true value, by parameter and motor family."""
     with_interval = table[table.inside.notna()]
     rows = [
         {"parameter": f"`{name}`"}
-        | {f"{family} motors": _coverage(part[part.motors == family]) for family in dict.fromkeys(table.motors)}
+        | {
+            f"motors: {_motors(comparison, family)}": _coverage(part[part.motors == family])
+            for family in dict.fromkeys(table.motors)
+        }
         for name, part in with_interval.groupby("parameter", sort=False)
     ]
-    return ["## Intervals of the identification that contain the true value", markdown(rows)] if rows else []
+    heading = "## Intervals of the identification that contain the true value"
+    return [heading, _PARAMETERS, markdown(rows)] if rows else []
 
 
 def _coverage(part: pd.DataFrame) -> str:
-    return f"{int(part.inside.sum())} of {len(part)}"
+    return f"{int(part.inside.sum())} of {len(part)}" if len(part) else "-"

@@ -161,6 +161,15 @@ class StudyConfig:
         groups = {name: replace(group, train={**group.train, "steps": steps}) for name, group in self.groups.items()}
         return replace(self, groups=groups, train={**self.train, "evaluate_every": max(1, steps // 2)})
 
+    def with_seeds(self, seeds: tuple[int, ...]) -> StudyConfig:
+        """Return the study with other seeds for all groups."""
+        return replace(self, seeds=seeds, groups={name: replace(one, seeds=()) for name, one in self.groups.items()})
+
+    def with_more_seeds(self, seeds: tuple[int, ...]) -> StudyConfig:
+        """Return the study with additional seeds for all groups."""
+        groups = {name: replace(one, seeds=_union(one.seeds, seeds)) for name, one in self.groups.items() if one.seeds}
+        return replace(self, seeds=_union(self.seeds, seeds), groups=self.groups | groups)
+
     def trained_on(self, group: str) -> tuple[int | None, ...]:
         """Return the seeds of the robots for which a group is trained; None for the robot of the data sheet."""
         return self.robots.seeds if self.robots is not None and self.groups[group].identified else (None,)
@@ -172,6 +181,11 @@ class StudyConfig:
     def label(self, group: str) -> str:
         """Return a group's label in figures and tables."""
         return self.groups[group].label or group
+
+
+def _union(first: tuple[int, ...], second: tuple[int, ...]) -> tuple[int, ...]:
+    """Return the items of both without repetitions, in order."""
+    return tuple(dict.fromkeys((*first, *second)))
 
 
 def load_study(path: Path) -> StudyConfig:

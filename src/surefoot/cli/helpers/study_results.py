@@ -111,7 +111,7 @@ def report_robots(study: StudyConfig, root: Path, out: Path, command: str, conso
     parameters = parameter_rows(study, identified, other_motors_folder(root / "robots"))
     readme = write_robot_report(comparison, parameters, out, command)
     if comparison.missing:
-        console.print(f"Not in the report: {', '.join(comparison.missing)}")
+        console.print(f"Not in the report: {comparison.missing_text}")
     console.print(f"Report: {readme}")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.evaluation.statistics import CONFIDENCE, t_interval
+from surefoot.evaluation.statistics import CONFIDENCE, Interval
 from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure, place_labels, spread_dots
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ class GroupOnRobots:
     """Return in the training simulator (R,) [m]."""
     on_robot: Array
     """Return on the robot (R,) [m]."""
+    intervals: tuple[Interval, Interval]
+    """Means over robots of both with their intervals [m]."""
     falls: float
     """Fraction of runs on robots that ended in a fall, 0 to 1."""
     marked: NDArray[np.bool_]
@@ -61,7 +63,7 @@ def robots_figure(groups: Sequence[GroupOnRobots], path: str | Path, marked: str
         ax.margins(y=0.12)
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
         ax.set_title(title or "Return of an episode (m)", fontweight="bold", pad=24.0)
-        legend = f"bars: mean and {CONFIDENCE:.0%} interval over robots; dots: robots"
+        legend = f"bars: mean and {CONFIDENCE:.0%} interval; dots: robots"
         ax.set_xlabel(legend + (f"; crosses: {marked}" if marked else ""), color=QUIET, fontsize=8.0, labelpad=6.0)
         for color, name in ((BLUE, "in simulation"), (ORANGE, "on the robot")):
             ax.bar(0, 0, color=color, alpha=_BAR_ALPHA, label=name)
@@ -74,15 +76,16 @@ def _group(ax: Axes, place: int, group: GroupOnRobots, marked: bool) -> None:
     places = [place - _BAR_WIDTH / 2 - 0.01 + across, place + _BAR_WIDTH / 2 + 0.01 + across]
     ax.plot(places, [group.home, group.on_robot], color=QUIET, linewidth=0.6, alpha=0.45, zorder=2)
     crosses = group.marked if marked else np.zeros(len(group.home), np.bool_)
-    for x, values, color in zip(places, (group.home, group.on_robot), (BLUE, ORANGE), strict=True):
-        interval, middle = t_interval(values), float(np.mean(x - across))
+    both = (group.home, group.on_robot)
+    for x, values, interval, color in zip(places, both, group.intervals, (BLUE, ORANGE), strict=True):
+        middle = float(np.mean(x - across))
         error = interval.high - interval.mean if interval.is_finite else 0.0
         ax.bar(middle, interval.mean, _BAR_WIDTH, color=color, alpha=_BAR_ALPHA, linewidth=0)
         ax.errorbar(middle, interval.mean, error, color=INK, linewidth=1.3, capsize=4.0, zorder=4)
         for some, marker, size in ((~crosses, "o", 3.8), (crosses, "x", 5.0)):
             ax.plot(x[some], values[some], marker, color=color, markersize=size, alpha=0.9, zorder=3)
     if group.falls > 0:
-        high = t_interval(group.on_robot).high
+        high = group.intervals[1].high
         top = max(float(np.max(group.on_robot)), high if math.isfinite(high) else 0.0, 0.0)
         text, where = f"{group.falls:.0%}\nfell", (place + _BAR_WIDTH / 2, top)
         ax.annotate(text, where, (0, 5), textcoords="offset points", ha="center", va="bottom", fontsize=7.5, color=INK)
