@@ -20,8 +20,7 @@ from surefoot.cli.main import main
 OUT = "out/demo"
 GALLOP = ("--seed", "1", "--steps", "1000000", "--evaluate-every", "100000")
 COMMANDS = (
-    # With one learning thread, the gallop is the same on any number of cores.
-    ["train", "gallop", "--name", "demo", "--learning-threads", "1", *GALLOP, *sys.argv[1:]],
+    ["train", "gallop", "--name", "demo", *GALLOP, *sys.argv[1:]],
     ["evaluate", "trot-robust", "--randomize", "table1", "--episodes", "20", "--out", f"{OUT}/trot-robust"],
     ["evaluate", "sensitivity", "trot", "trot-robust", "--episodes", "4", "--out", f"{OUT}/sensitivity"],
     ["show", "trot-robust", "--out", f"{OUT}/trot-robust.mp4"],

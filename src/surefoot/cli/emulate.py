@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.cli.helpers.options import MapPort, Repeated, Settings, Terrain, World, files_by_suffix
+from surefoot.cli.helpers.options import MapPort, Repeated, Settings, Terrain, files_by_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, choices
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription, parse_settings
 from surefoot.robot.params_file import load_params, write_params
 from surefoot.task.height_scan import ScanConfig
+from surefoot.world.registry import check_takes_params, worlds_with_params
 
 if TYPE_CHECKING:
     from surefoot.cli.helpers.viewer import EmulateViewer
@@ -42,7 +43,7 @@ class EmulateCommand:
     `--fault help` lists the faults that can be injected.
     """
 
-    world: World = "mujoco"
+    world: Annotated[str, tyro.conf.arg(help=f"World (simulator): {choices(worlds_with_params())}.")] = "mujoco"
     robot: str = DEFAULT_ROBOT
     """Name or folder of the robot."""
     params: Path | None = None
@@ -125,7 +126,6 @@ def main(argv: list[str]) -> int:
         return 0
     _check(command)
     from surefoot.emulator.fault_table import parse_faults
-    from surefoot.world.registry import check_takes_params
 
     robot = RobotDescription.load(command.robot)
     faults = parse_faults(words, command.lockstep, robot.num_motors, command.link)

@@ -63,8 +63,8 @@ class Experiment:
 EXPERIMENTS = {
     experiment.name: experiment
     for experiment in (
-        Experiment("latency", "age of the readings used by the servo and by the computer", latency_plan, True),
         Experiment("motor", "motors, servo, friction, leg mass and inertia, both latencies", motor_plan, True),
+        Experiment("latency", "age of the readings used by the servo and by the computer", latency_plan, True),
         Experiment("mass", "mass, centre of mass and inertia of the base", mass_plan, False, ("motor",)),
         Experiment("contact", "friction, stiffness and damping of the feet", contact_plan, False, ("motor", "mass")),
         Experiment(

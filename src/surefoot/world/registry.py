@@ -125,8 +125,12 @@ def make_world(
 def check_takes_params(name: str) -> None:
     """Raise a `SurefootError` for a world whose robots have their own parameters. See `find_entry` for other errors."""
     if find_entry(name).seeds is not None:
-        names = [other for other, entry in WORLDS.items() if entry.seeds is None]
-        raise SurefootError(f"world is '{name}'; {suggest(name, names)}")
+        raise SurefootError(f"world is '{name}'; {suggest(name, worlds_with_params())}")
+
+
+def worlds_with_params() -> list[str]:
+    """Return the names of the worlds that take physical parameters, which those of ensembles do not."""
+    return [name for name, entry in WORLDS.items() if entry.seeds is None]
 
 
 def is_modelled(name: str, parameter: str) -> bool:
