@@ -109,6 +109,7 @@ def test_a_leg_with_a_motor_that_never_moves_is_not_identifiable(
     assert not [u for u in rack_unknowns(robot, prior, 0.0173, moving_legs(robot, recording)) if u.index in (2, 3)]
     # Motors 2 and 3 belong to the back left leg.
     fit = fit_on_rack(robot, recording, segment_from_recording(recording, 1, 2), prior, ignore_progress)
+    assert fit.misfit < 1.2
     estimates = rack_estimates(robot, fit, prior)
     unidentifiable = [item for item in estimates if not item.identifiable and item.index is not None]
     names = ("motor_strength", "motor_friction", "motor_viscous_friction")
@@ -121,7 +122,7 @@ def test_a_leg_with_a_motor_that_never_moves_is_not_identifiable(
     assert [item.name for item in estimates if not item.identifiable and item.index is None] == scaled
     for name, true in zip(scaled, (0.09, 0.2, 1.0, 0.015), strict=True):
         assert value[name] / value["resistance"] == pytest.approx(true / 0.2, rel=0.02)
-    assert any({"resistance", "servo_kp"} <= set(pair) for pair in fit.strongest_correlations())
+    assert any({"resistance", "servo_kp"} <= set(pair) for pair in fit.fit.strongest_correlations())
     assert len(estimates) == 8 + 3 * 8
     for motor in (0, 1, 4, 5, 6, 7):
         (strength,) = [item for item in estimates if (item.name, item.index) == ("motor_strength", motor)]

@@ -12,7 +12,7 @@ pytest.importorskip("mujoco")
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Fit
 from surefoot.identify.model import TORQUE_GAIN, ReplayModel, Unknown, candidate_params
-from surefoot.identify.rack.model import NOISE, moving_legs, rack_estimates, rack_observations, rank_latencies
+from surefoot.identify.rack.model import NOISE, RackFit, moving_legs, rack_estimates, rack_observations, rank_latencies
 from surefoot.identify.recording import Recording
 from surefoot.identify.replay import Replayer, Segment, segment_from_recording
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -61,20 +61,27 @@ def test_each_candidate_has_one_row_of_parameters(nominal: PhysicalParams):
     np.testing.assert_array_equal(nominal.motor_friction, 0.0)
 
 
-def test_intervals_hold_for_robots_that_are_built_unlike_their_model(robot: RobotDescription, nominal: PhysicalParams):
-    """A fit without noise: what is left are the accuracy of the simulator, and what the model lacks."""
+@pytest.mark.parametrize(("errors", "unmodelled"), [(1.0, 0.0), (2.0, 0.5), (3.0, 1.0), (8.0, 1.0)])
+def test_intervals_are_wider_for_robots_that_do_not_repeat_their_models_motion(
+    robot: RobotDescription, nominal: PhysicalParams, errors: float, unmodelled: float
+):
+    """A fit without uncertainty: what is left are the accuracy of the simulator, and what the model lacks."""
     names = {"resistance": 0.2, "servo_kd": 0.02, "motor_friction": 0.05, "motor_viscous_friction": 0.001}
     unknowns = tuple(
         Unknown(name, value, 0.0, 1.0, 1e-6, 0 if name.startswith("motor") else None) for name, value in names.items()
     )
-    fit = Fit(unknowns, np.array([*names.values()]), np.zeros((4, 4)), np.zeros(9), np.eye(9, 4))
+    fit = RackFit(
+        Fit(unknowns, np.array([*names.values()]), np.zeros((4, 4)), np.zeros(9), np.eye(9, 4)), errors * NOISE
+    )
+    assert fit.misfit == pytest.approx(errors)
     deviations = {one.name: one.deviation for one in rack_estimates(robot, fit, nominal) if one.identifiable}
+    more = unmodelled
     assert deviations == pytest.approx(
         {
             "resistance": 0.005 * 0.2,
-            "servo_kd": np.hypot(0.005, 0.03) * 0.02,
-            "motor_friction": np.sqrt((0.005 * 0.05) ** 2 + 2e-4**2 + (0.06 * 0.05) ** 2),
-            "motor_viscous_friction": np.sqrt((0.005 * 1e-3) ** 2 + 1e-4**2 + (0.4 * 1e-3) ** 2 + 4e-4**2),
+            "servo_kd": np.hypot(0.005, more * 0.03) * 0.02,
+            "motor_friction": np.sqrt((0.005 * 0.05) ** 2 + 2e-4**2 + (more * 0.06 * 0.05) ** 2),
+            "motor_viscous_friction": np.sqrt((0.005 * 1e-3) ** 2 + 1e-4**2 + more**2 * (4e-4**2 + 4e-4**2)),
         }
     )
 

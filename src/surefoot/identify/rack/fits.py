@@ -18,7 +18,7 @@ from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.model import GAIN_DEVIATION, TORQUE_GAIN
-from surefoot.identify.rack.model import fit_on_rack, moving_legs, rack_estimates, replay_errors
+from surefoot.identify.rack.model import FULL_MISFIT, fit_on_rack, moving_legs, rack_estimates, replay_errors
 from surefoot.identify.recording import Recording, interpolate_columns
 from surefoot.identify.replay import Replayer, Segment, segment_from_recording
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series
@@ -69,8 +69,9 @@ def fit_motor(
 ) -> Identification:
     """Return the result of the motor experiment; see `Experiment.fit`."""
     segment = _segment(recording, "fit")
-    fit = fit_on_rack(robot, recording, segment, prior, report)
-    estimates = (*rack_estimates(robot, fit, prior), *estimate_imu(recording), estimate_voltage(recording))
+    result = fit_on_rack(robot, recording, segment, prior, report)
+    fit = result.fit
+    estimates = (*rack_estimates(robot, result, prior), *estimate_imu(recording), estimate_voltage(recording))
     gains = np.zeros(robot.num_motors)
     for unknown, value in zip(fit.unknowns, fit.values, strict=True):
         if unknown.name == TORQUE_GAIN:
@@ -80,14 +81,22 @@ def fit_motor(
     series: tuple[Series, ...] = ()
     if recording.phases("check"):
         checks, series = _check(robot, recording, (prior, params), gains)
-    unidentifiable = [e.label for e in estimates if not e.identifiable]
+    notes = []
+    if result.misfit > FULL_MISFIT:
+        notes.append(
+            f"the fitted robot does not repeat the recording: its errors are {result.misfit:.0f} times those of the "
+            "sensors. Something differs that is no parameter (play or friction of other joints, the motors' torque "
+            "curve, the servo's law): intervals are wider for it, and may still be too narrow"
+        )
+    if unidentifiable := [e.label for e in estimates if not e.identifiable]:
+        notes.append(f"not identifiable from these data: {', '.join(unidentifiable)}")
     return Identification(
         "motor",
         robot.name,
         estimates,
         checks,
         tuple(fit.strongest_correlations()),
-        (f"not identifiable from these data: {', '.join(unidentifiable)}",) if unidentifiable else (),
+        tuple(notes),
         (*series, _torque_curve(robot, recording, segment, params, gains)),
         {"torque_gain": gains.tolist(), "torque_accuracy": GAIN_DEVIATION / float(np.sqrt(robot.num_motors))},
     )
@@ -174,9 +183,9 @@ def fit_latency(
             f"needed: do the motors move at all?"
         )
     lead = float(recording.meta["lead"])
-    fit = fit_on_rack(robot, recording, _segment(recording, "fit"), prior, report, every=3)
+    result = fit_on_rack(robot, recording, _segment(recording, "fit"), prior, report, every=3)
     latencies = ("servo_latency", "control_latency")
-    estimates = {e.name: e for e in rack_estimates(robot, fit, prior) if e.name in latencies}
+    estimates = {e.name: e for e in rack_estimates(robot, result, prior) if e.name in latencies}
     at_robot, at_host = _median("spike_at_robot", spikes.age), _median("spike_at_host", spikes.host)
     age, replayed = at_robot.value + lead, estimates["control_latency"].value
     notes = [
@@ -201,7 +210,9 @@ def fit_latency(
         "latency",
         robot.name,
         (*estimates.values(), at_robot, at_host, estimate_voltage(recording)),
-        correlations=tuple(pair for pair in fit.strongest_correlations(20) if any(name in pair for name in latencies)),
+        correlations=tuple(
+            pair for pair in result.fit.strongest_correlations(20) if any(name in pair for name in latencies)
+        ),
         notes=tuple(notes),
         series=(histogram,),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,11 +50,13 @@ UNMODELLED = {
     "servo_kp": 0.02,
     "servo_kd": 0.03,
 }
-"""Relative standard deviations for robots that are built unlike their model: friction and play of the knees act in part
-like friction of the motors and inertia of the legs, another torque curve like other gains, and residuals show neither.
-They were set on the robots of results/identified."""
+"""Relative standard deviations for robots that do not repeat their model's motion: friction and play of the knees act
+in part like friction of the motors and inertia of the legs, another torque curve like other gains. They were set on the
+robots of results/identified."""
 UNMODELLED_NEAR_0 = {"motor_viscous_friction": 4e-4}
 """The same as absolute standard deviations [N m s/rad]."""
+FULL_MISFIT = 3.0
+"""Misfit from which these deviations count fully; for a robot that is built like its model it is 1."""
 
 
 def moving_legs(robot: RobotDescription, recording: Recording) -> NDArray[np.int64]:
@@ -150,6 +153,18 @@ def rack_unknowns(
     return unknowns
 
 
+class RackFit(NamedTuple):
+    """A fit, and the noise of angles, speeds and torques (3,) that it assumed, including errors of the model."""
+
+    fit: Fit
+    noise: Array
+
+    @property
+    def misfit(self) -> float:
+        """Root mean square error of the fitted model, relative to the noise of the sensors; at least 1."""
+        return float(np.sqrt(np.mean((self.noise / NOISE) ** 2)))
+
+
 def fit_on_rack(
     robot: RobotDescription,
     recording: Recording,
@@ -157,7 +172,7 @@ def fit_on_rack(
     prior: PhysicalParams,
     report: FitProgress,
     every: int = 5,
-) -> Fit:
+) -> RackFit:
     """Fit all parameters that are identifiable on a rack to every `every`-th state of a segment."""
     motors = moving_legs(robot, recording)
     fits = []
@@ -167,9 +182,9 @@ def fit_on_rack(
         replayer = Replayer(robot, len({u.colour for u in unknowns if u.colour is not None}) + 10)
         observe = partial(rack_observations, robot, recording, segment, replayer, every)
         fits.append(_fit_rounds(observe, prior, unknowns, replayer.num_envs, report))
-        if fits[-1][1] < GOOD_ANGLE_ERROR:
+        if fits[-1].noise[0] < GOOD_ANGLE_ERROR:
             break
-    return min(fits, key=lambda one: one[1])[0]
+    return min(fits, key=lambda one: float(one.noise[0]))
 
 
 def _fit_rounds(
@@ -178,12 +193,8 @@ def _fit_rounds(
     unknowns: Sequence[Unknown],
     batch: int,
     report: FitProgress,
-) -> tuple[Fit, float]:
-    """Fit from one start, and repeat with the residual noise of the last fit until the noise is consistent.
-
-    Returns:
-        The fit, and the noise of angles that it assumed [rad].
-    """
+) -> RackFit:
+    """Fit from one start, and repeat with the residual noise of the last fit until the noise is consistent."""
     noise, start = NOISE, None
     for _ in range(_MAX_ROUNDS):
         model = ReplayModel(unknowns, prior, [observe(noise=noise)], batch)
@@ -193,18 +204,20 @@ def _fit_rounds(
         if np.all(ratio < 1.15):
             break
         noise, start = np.maximum(ratio, 1.0) * noise, fit.values
-    return fit, float(used[0])
+    return RackFit(fit, used)
 
 
-def rack_estimates(robot: RobotDescription, fit: Fit, prior: PhysicalParams) -> list[ParameterEstimate]:
+def rack_estimates(robot: RobotDescription, result: RackFit, prior: PhysicalParams) -> list[ParameterEstimate]:
     """Return estimates of the physical parameters; parameters of motors that were not fitted are not identifiable."""
-    estimates = []
+    estimates, fit = [], result.fit
+    unmodelled = min((result.misfit - 1.0) / (FULL_MISFIT - 1.0), 1.0)
     for u, value, deviation, identifiable in zip(
         fit.unknowns, fit.values.tolist(), fit.deviation.tolist(), fit.identifiable.tolist(), strict=True
     ):
         if u.name != TORQUE_GAIN:
             deviation = add_model_error(u.name, value, deviation)
-            deviation = math.hypot(deviation, UNMODELLED.get(u.name, 0.0) * value, UNMODELLED_NEAR_0.get(u.name, 0.0))
+            more = math.hypot(UNMODELLED.get(u.name, 0.0) * value, UNMODELLED_NEAR_0.get(u.name, 0.0))
+            deviation = math.hypot(deviation, unmodelled * more)
             estimates.append(ParameterEstimate.within_bounds(robot, u.name, value, deviation, u.index, identifiable))
     fitted = {u.index for u in fit.unknowns}
     for motor in sorted(set(range(robot.num_motors)) - fitted):
