@@ -1,13 +1,16 @@
 """Intervals of `surefoot identify` on robots that are built unlike their model: how many contain the true value?
 
     python benchmarks/ensemble_intervals.py --seeds 221 222 --other-motors 223 224
+    python benchmarks/ensemble_intervals.py --robots results/identified/robots
 
 Robots are drawn as in a study file (`--study`): from the ensemble's ranges, in Bullet, with play and friction in the
 knees, uneven floors and encoder offsets, and some with motors of another torque curve and servo law. Each is identified
 by the four experiments over its emulated link, 5 to 10 minutes of one core. intervals.csv has one row per interval; its
-true values are those that an experiment can find, see `parameter_rows`. Robots that have been identified are kept.
+true values are those that an experiment can find, see `parameter_rows`. coverage.csv counts them by family of motors,
+parameter and robot. Robots that have been identified are kept.
 
-With `--robots FOLDER` nothing is identified: the robots of the study are read from there.
+With `--robots FOLDER` nothing is identified: the robots of the study are read from there, and counts go to
+development.csv, because lower bounds of intervals were set on them.
 """
 
 from __future__ import annotations
@@ -65,11 +68,21 @@ def main(command: Command) -> None:
     known = {seed: file for seed, file in files.items() if file is not None}
     rows = [row for row in parameter_rows(study, known, other_motors_folder(command.work)) if row["inside"] is not None]
     if command.robots is None:
-        write_csv(folder / "intervals.csv", rows)
-    table = pd.DataFrame(rows)
-    for columns in (["motors", "parameter"], ["motors", "robot"], ["motors"]):
-        counts = table.groupby(columns, sort=False).inside.agg(inside="sum", intervals="count").reset_index()
-        print_table(plain_rows(counts), "Intervals that contain the true value", len(columns))
+        write_csv(command.out / "intervals.csv", rows)
+    counts = coverage(pd.DataFrame(rows))
+    write_csv(command.out / ("coverage.csv" if command.robots is None else "development.csv"), counts)
+    print_table(plain_rows(counts), "Intervals that contain the true value")
+
+
+def coverage(table: pd.DataFrame) -> pd.DataFrame:
+    """Return the numbers of intervals, and of those with the true value, by motors, and by parameter and robot."""
+    counts = []
+    for part in ([], ["parameter"], ["robot"]):
+        groups = table.groupby(["motors", *part], sort=False).inside
+        rows = groups.agg(inside="sum", intervals="count").reset_index()
+        names = rows[["motors", *part]].astype(str).agg(" ".join, axis="columns")
+        counts.append(rows.assign(name=names)[["name", "inside", "intervals"]])
+    return pd.concat(counts, ignore_index=True)
 
 
 if __name__ == "__main__":
