@@ -1,6 +1,6 @@
 """Intervals of `surefoot identify` on robots that are built unlike their model: how many contain the true value?
 
-    python benchmarks/ensemble_intervals.py --seeds 221 222 --other-motors 223 224
+    python benchmarks/ensemble_intervals.py --seeds 221 222 --other-motors 223
     python benchmarks/ensemble_intervals.py --robots results/identified/robots
 
 Robots are drawn as in a study file (`--study`): from the ensemble's ranges, in Bullet, with play and friction in the
@@ -36,7 +36,7 @@ class Command:
     """Study with the ranges of its robots, and other motors."""
     seeds: tuple[int, ...] = (221, 222)
     """Seeds of robots with motors of the data sheet's family."""
-    other_motors: tuple[int, ...] = (223, 224)
+    other_motors: tuple[int, ...] = (223,)
     """Seeds of robots with other motors."""
     robots: Path | None = None
     """Folder of the study's robots, which are then compared instead of new ones."""
