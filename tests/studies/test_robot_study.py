@@ -276,6 +276,12 @@ def test_the_report_has_claims_groups_robots_and_figures(tmp_path: Path) -> None
     home = tables["groups"].set_index(["group", "motors", "figure"]).loc[("sheet", "all", "home")]
     policies = t_interval(comparison(few).policies.groupby("seed").home.mean())
     assert (home["mean_low"], home["mean_high"]) == pytest.approx((policies.low, policies.high))
+    # Intervals of percentages stay between 0 and 100: no fall in 16 runs, and one in two of 4 runs on each of 4 robots.
+    whole, plain = (comparison(few).interval(group, "falls") for group in ("whole", "plain"))
+    assert (whole.mean, whole.low, whole.high) == pytest.approx((0, 0, 100 * (1 - 0.025 ** (1 / 16))))
+    assert (plain.mean, plain.low, plain.high) == pytest.approx((50, 24.65, 75.35), abs=0.01)
+    sheet = comparison(few).interval("sheet", "far")
+    assert 0 <= sheet.low <= sheet.mean <= sheet.high <= 100
     assert report_from_tables(few, out, "surefoot study few.yaml") == text
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.arrays import Array
-from surefoot.evaluation.statistics import Interval, crossed_interval, t_interval
+from surefoot.evaluation.statistics import Interval, crossed_interval, proportion_interval, t_interval
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.params_file import ParamsFile
@@ -118,10 +118,15 @@ class RobotComparison:
 
     def interval(self, group: str, metric: str, family: str = ALL) -> Interval:
         """Return the mean of a metric over robots with its interval, also over policies if all robots have the same."""
+        is_fraction, rows = METRICS[metric][1] == "%", self.select_family(family)
+        own = rows[rows.group == group]
         if group in self.shared:
-            return crossed_interval(self._table(group, metric, family))
-        rows = self.select_family(family)
-        return t_interval(rows[rows.group == group][metric])
+            table = self._table(group, metric, family)
+            trials = int(own.runs.sum()) // max(len(table), 1)
+            return _percent_interval(table, trials) if is_fraction else crossed_interval(table)
+        if is_fraction and len(own):
+            return _percent_interval(own[metric].to_numpy(), round(float(own.runs.mean())))
+        return t_interval(own[metric])
 
     def _table(self, group: str, metric: str, family: str = ALL) -> Array:
         """Return a metric of a group in `shared`, by policy and robot (P, R)."""
@@ -163,6 +168,16 @@ class RobotComparison:
             )
             for name, one in questions.items()
         }
+
+
+def _percent_interval(percentages: Array, trials: int) -> Interval:
+    """Return the mean of percentages, by robot (R,) or by policy and robot (P, R), with an interval from 0 to 100 %.
+
+    Args:
+        percentages: percentages of runs.
+        trials: number of runs on each robot, or of each policy.
+    """
+    return proportion_interval(percentages / 100, trials).scale(100)
 
 
 def _metrics(home: pd.DataFrame, on_robot: pd.DataFrame) -> dict[str, float]:

@@ -14,7 +14,7 @@ from surefoot.files import atomic_write
 from surefoot.report.figures.robots import GroupOnRobots, robots_figure
 from surefoot.report.figures.style import capitalize_first
 from surefoot.studies.hidden_robots import DATA_SHEET_MOTORS, OTHER_MOTORS, robot_name
-from surefoot.studies.questions import LEVEL, METRICS, Answer, ComparedPair
+from surefoot.studies.questions import LEVEL, METRICS, NO_RESULTS, Answer, ComparedPair
 from surefoot.studies.report import image, readme
 from surefoot.studies.robot_comparison import ALL, CONTENTS, RobotComparison, robot_tables
 from surefoot.studies.study_config import StudyConfig
@@ -26,8 +26,8 @@ _HOW_TO_READ = (
     "robot is the mean over seeds and starts, all robots with the same seeds of trainings.",
     "Gap: return in the training simulator minus return on the robot, with its sign; it is negative if a policy does "
     "better on the robot. Claims are about means over robots. A fall is a run in which the robot did not keep its "
-    "balance to the end. {confidence:.0%} confidence intervals (Student's t) and paired differences are over robots"
-    "{and_policies}.",
+    "balance to the end. {confidence:.0%} confidence intervals (Student's t; for percentages binomial, with the "
+    "effective number of runs) and paired differences are over robots{and_policies}.",
     "Every part of a claim is tested at {level:.2g}, and the claim's p value is their maximum (intersection-union "
     "test), without correction. p values of differences are two-sided, and 1 if the difference has the other sign. A "
     "claim of equivalence has two one-sided tests, and a 90 % interval. p values of comparisons without a claim are "
@@ -156,6 +156,8 @@ def _open_questions(comparison: RobotComparison) -> list[str]:
 def _answer(comparison: RobotComparison, one: Answer) -> list[str]:
     """Return the comparisons of a question as a sentence and a table."""
     title, unit, digits = METRICS[one.question.figure]
+    if all(pair.left_out == NO_RESULTS for pair in one.comparisons):
+        return [f"{capitalize_first(one.question.text)}: no results yet."]
 
     def row(pair: ComparedPair) -> dict[str, str]:
         label = comparison.study.label
@@ -213,7 +215,7 @@ def _parameters(comparison: RobotComparison, table: pd.DataFrame) -> list[str]:
     rows = [
         {"parameter": f"`{name}`"}
         | {
-            f"motors: {_motors(comparison, family)}": _coverage(part[part.motors == family])
+            _family_label(comparison, family): _coverage(part[part.motors == family])
             for family in dict.fromkeys(table.motors)
         }
         for name, part in with_interval.groupby("parameter", sort=False)
