@@ -551,7 +551,7 @@ REJECTED_COMMANDS = [
         "identify",
         {
             "tail": (
-                "'tail' is not an experiment; choices: latency, motor, mass, contact, air, replay, import, "
+                "'tail' is not an experiment; choices: motor, latency, mass, contact, air, replay, import, "
                 "motor-figure, or --trace FOLDER"
             ),
             "imprt": "'imprt' is not an experiment; did you mean import?",
