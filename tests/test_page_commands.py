@@ -47,10 +47,6 @@ def reader(folder: Path, page: str, **options: Any) -> PageRun:
     return run
 
 
-ADOPTED = tuple(
-    ("adopt", f"data/rl_sar/{name}/{file}", "--from", "rl_sar", "--robot", "go2", "--out", f"{name}.onnx")
-    for name, file in (("himloco", "himloco.pt"), ("robot_lab", "policy.pt"))
-)
 PAGES: dict[str, dict[str, Any]] = {
     "start": {},
     "train": {},
@@ -58,14 +54,20 @@ PAGES: dict[str, dict[str, Any]] = {
     "robot": {},
     "terrain": {"elsewhere": {"--height-map 5556": "tests/cli/test_deploy_cli.py"}},
     "evaluate": {
-        "before": (*ADOPTED, ("evaluate", "trot", "--episodes", "1", "--out", "traces")),
+        "before": (("evaluate", "trot", "--episodes", "1", "--out", "traces"),),
         "names": {"FOLDER": "traces"},
     },
-    "steer": {"elsewhere": {"deploy go2-steer": "tests/cli/test_deploy_cli.py, tests/cli/test_deploy_page_cli.py"}},
+    "steer": {
+        "elsewhere": {
+            "emulate --robot go2": "tests/cli/test_deploy_cli.py",
+            "deploy go2-steer": "tests/cli/test_deploy_cli.py, tests/cli/test_deploy_page_cli.py",
+        }
+    },
     "watch": {
         "elsewhere": {
             "--commands gamepad": "tests/deploy/test_command_sources.py",
             "train steer --robot go2 --browser": "tests/cli/test_train_page_cli.py",
+            "emulate --robot go2": "tests/cli/test_deploy_page_cli.py",
             "deploy go2-steer": "tests/cli/test_deploy_page_cli.py",
         }
     },
