@@ -106,8 +106,9 @@ def _run(argv: list[str]) -> int:
     console, failed = make_console(), dict[str, str]()
     needs_robots = any(study.groups[name].identified for name in command.only or study.groups if name in study.groups)
     if study.robots is not None and needs_robots:
-        study.robots.check_settings(robots_folder(out))
-        if not command.report_only:
+        if command.report_only:
+            study.robots.check_settings(robots_folder(out))
+        else:
             failed = identify(study.robots, study.name, root, out, command.workers, console)
     runs = study_runs(study, root, command.only, robots_folder(out))
     for run in runs:

@@ -116,7 +116,7 @@ def equivalence_p_value(values: ArrayLike, bound: float, policies: Sequence[Arra
 
     It is the larger p value of two one-sided t tests, against mean <= -bound and mean >= bound (Schuirmann 1987). It is
     below a level exactly if the interval with confidence 1 - 2 level is within the bounds. NaN for fewer than
-    `MIN_SAMPLES`. Arguments are those of `robots_interval`.
+    `MIN_SAMPLES`. For the arguments see `robots_interval`.
     """
     from scipy.special import stdtr
 

@@ -49,7 +49,7 @@ class RobotComparison:
 
     @cached_property
     def missing(self) -> dict[str, tuple[int, int]]:
-        """For each group of which trainings are missing in the comparison: their number, and that of all trainings."""
+        """Number of missing trainings and of all trainings, for each group of which trainings are missing."""
         found = self.episodes[["group", "robot", "seed"]].drop_duplicates().group.value_counts()
         counts = {
             group: len(self.study.trained_on(group)) * len(self.study.seeds_of(group)) for group in self.study.groups
@@ -204,7 +204,7 @@ def parameter_rows(study: StudyConfig, files: Mapping[int, ParamsFile], folder: 
     """Return one row per identified number, with its true value and its interval.
 
     The true value is the one that an experiment can find: roll and pitch of the IMU include its mounting error, and the
-    friction of motors that of the knees that they turn. Motors of another family have no true value of the parameters
+    friction of motors includes the friction of the knees. Motors of another family have no true value of the parameters
     in `_TORQUE_LAW`. Parameters with one interval for all motors have one row.
 
     Args:

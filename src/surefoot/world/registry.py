@@ -129,7 +129,7 @@ def check_takes_params(name: str) -> None:
 
 
 def worlds_with_params() -> list[str]:
-    """Return the names of the worlds that take physical parameters, which those of ensembles do not."""
+    """Return the names of the worlds that take physical parameters; worlds of ensembles have their own."""
     return [name for name, entry in WORLDS.items() if entry.seeds is None]
 
 

@@ -84,8 +84,8 @@ def fit_motor(
     notes = []
     if result.misfit > FULL_MISFIT:
         notes.append(
-            f"the fitted robot does not repeat the recording: its errors are {result.misfit:.0f} times those of the "
-            "sensors. Something differs that is no parameter (play or friction of other joints, the motors' torque "
+            f"the fitted robot does not repeat the recording: its errors are {result.misfit:.0f} times the noise of "
+            "the sensors. Something differs that is no parameter (play or friction of other joints, the motors' torque "
             "curve, the servo's law): intervals are wider for it, and may still be too narrow"
         )
     if unidentifiable := [e.label for e in estimates if not e.identifiable]:
