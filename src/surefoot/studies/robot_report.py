@@ -39,8 +39,8 @@ _SHARED = (
 )
 _PARAMETERS = (
     "The true `imu_bias` includes the mounting error of the IMU, and the true `motor_friction` the friction of the "
-    "knees, because no experiment separates them. The parameters of the motor model are no property of motors of another "
-    "family, so they have no true value there."
+    "knees, because no experiment separates them. The parameters of the motor model are no property of motors of "
+    "another family, so they have no true value there."
 )
 
 
