@@ -132,7 +132,7 @@ def check_results(out: Path) -> None:
     # A single seed gives no confidence interval of a mean, but one of a fraction.
     assert all((row["low"] is None) == (row["unit"] != "%") for row in summary["groups"])
     report = (out / "README.md").read_text()
-    assert "surefoot study tiny.yaml --workers 1" in report
+    assert "surefoot study run tiny.yaml --workers 1" in report
     assert "| 4-D, randomized | 4-D |" in report
     for name in (
         "learning_curves.png",

@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import data_sheet_task
-from surefoot.evaluation.statistics import t_interval
+from surefoot.evaluation.statistics import proportion_interval, t_interval
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params, write_params
 from surefoot.robot.randomization import load_ranges
@@ -191,9 +191,9 @@ def test_a_policy_runs_in_the_training_simulator_and_on_its_robots(
 # --- tables and report ------------------------------------------------------------------------------------
 
 
-def runs(home: float, on_robot: dict[int, float], fell: int = 0) -> dict[str, Any]:
-    """Return two runs in the training simulator and two on each robot, of which `fell` fell."""
-    rows = [("mujoco", 0, home - 0.1, True), ("mujoco", 1, home + 0.1, True)]
+def runs(home: float, on_robot: dict[int, float], fell: int = 0, fell_at_home: int = 0) -> dict[str, Any]:
+    """Return two runs in the training simulator and two on each robot, of which `fell_at_home` and `fell` fell."""
+    rows = [("mujoco", k, home + 0.2 * k - 0.1, k >= fell_at_home) for k in range(2)]
     for seed, level in on_robot.items():
         rows += [(f"robot_{seed}", k, level + 0.2 * k - 0.1, k >= fell) for k in range(2)]
     table = pd.DataFrame(rows, columns=["world", "run", "return", "balanced"])
@@ -212,7 +212,7 @@ def comparison(few: StudyConfig) -> RobotComparison:
     for seed in (0, 1, 2):
         training = Training("sheet", few_config(few, seed), Path())
         levels = {robot: 2.5 - 0.1 * robot + 0.1 * seed for robot in (1, 2, 3, 4)}
-        parts.append(episode_rows(training, runs(3.5, levels)))
+        parts.append(episode_rows(training, runs(3.5, levels, fell_at_home=int(seed == 0))))
     return RobotComparison(few, pd.concat(parts, ignore_index=True))
 
 
@@ -225,7 +225,8 @@ def test_a_group_on_a_robot_is_the_mean_over_seeds_and_starts(tmp_path: Path) ->
     plain, sheet = table.loc["plain", 3], table.loc["sheet", 4]
     assert (plain.seeds, plain.runs, plain.motors, sheet.motors) == (2, 4, "own", "other")
     assert (plain.home, plain.on_robot, plain.gap) == pytest.approx((2.7, 1.2, 1.5))
-    assert (plain.falls, plain.far) == (50, 0)
+    assert (plain.home_falls, plain.falls, plain.far) == (0, 50, 0)
+    assert (sheet.home_falls, sheet.falls) == pytest.approx((100 / 6, 0))
     assert (sheet.seeds, sheet.home, sheet.on_robot, sheet.gap) == pytest.approx((3, 3.5, 2.2, 1.3))
     # 3.4 - 0.1 -+ 0.1 + 0.5 m for seed 0 and 0.2 m more for seed 1: every run of the group `whole` is far.
     assert table.loc["whole", 1].far == 100
@@ -261,7 +262,7 @@ def test_the_report_has_claims_groups_robots_and_figures(tmp_path: Path) -> None
         "## Robots with limited motors",
         "| `base_mass_ratio` | 1 of 1 |",
         "| `voltage` | 0 of 1 |",
-        "| I | robot_3 | as in the data sheet | 2 | 2.70 | 1.20 | 1.50 | 50.0 | 0.0 |",
+        "| I | robot_3 | as in the data sheet | 2 | 2.70 | 1.20 | 1.50 | 0.0 | 50.0 | 0.0 |",
         "The policies of 'sheet' were trained once, on the robot of the data sheet",
     ):
         assert part in text, part
@@ -282,6 +283,8 @@ def test_the_report_has_claims_groups_robots_and_figures(tmp_path: Path) -> None
     assert (plain.mean, plain.low, plain.high) == pytest.approx((50, 24.65, 75.35), abs=0.01)
     sheet = comparison(few).interval("sheet", "far")
     assert 0 <= sheet.low <= sheet.mean <= sheet.high <= 100
+    # The runs in the training simulator are the same for all robots: 1 of 6 fell, not 4 of 24.
+    assert comparison(few).interval("sheet", "home_falls") == proportion_interval([0.5, 0, 0], 2).scale(100)
     assert report_from_tables(few, out, "surefoot study few.yaml") == text
 
 

@@ -124,7 +124,10 @@ def _run(argv: list[str]) -> int:
     if not command.train_only:
         evaluate_runs(study, runs, root, command.workers, console)
         write = report if study.robots is None else report_robots
-        write(whole.with_more_seeds(command.seeds), root, out, shlex.join(["surefoot", "study", *argv]), console)
+        # The report names the command that makes it from nothing.
+        words = [word for word in argv if word.replace("_", "-") != "--report-only"]
+        again = shlex.join(["surefoot", "study", "run", *words])
+        write(whole.with_more_seeds(command.seeds), root, out, again, console)
     return _end(failed)
 
 

@@ -24,6 +24,7 @@ METRICS = {
     "home": ("return in training simulator", "m", 2),
     "on_robot": ("return on the robot", "m", 2),
     "gap": ("gap", "m", 2),
+    "home_falls": ("falls in training simulator", "%", 1),
     "falls": ("falls on the robot", "%", 1),
     "far": ("runs over 3 m on the robot", "%", 1),
 }
@@ -37,7 +38,7 @@ NO_RESULTS = "no results"
 class Question:
     """Question of a study about its groups."""
 
-    figure: Literal["home", "on_robot", "gap", "falls", "far"]
+    figure: Literal["home", "on_robot", "gap", "home_falls", "falls", "far"]
     """Metric that is compared, a mean over seeds and starts for each robot."""
     text: str
     """The claim or question in words."""

@@ -123,6 +123,8 @@ class RobotComparison:
         if group in self.shared:
             table = self._table(group, metric, family)
             trials = int(own.runs.sum()) // max(len(table), 1)
+            if metric == "home_falls":  # The same runs for all robots.
+                table, trials = table[:, 0], trials // table.shape[1]
             return _percent_interval(table, trials) if is_fraction else crossed_interval(table)
         if is_fraction and len(own):
             return _percent_interval(own[metric].to_numpy(), round(float(own.runs.mean())))
@@ -186,10 +188,14 @@ def _metrics(home: pd.DataFrame, on_robot: pd.DataFrame) -> dict[str, float]:
     def mean(runs: pd.DataFrame, values: pd.Series) -> float:
         return float(values.groupby([runs.robot, runs.seed]).mean().mean())
 
+    def percent(runs: pd.DataFrame, mask: pd.Series) -> float:
+        return 100 * mean(runs, mask.astype(float))
+
     home_return, return_on_robot = mean(home, home["return"]), mean(on_robot, on_robot["return"])
-    fell, far = 1.0 - on_robot.balanced.astype(float), (on_robot.distance > FAR_DISTANCE).astype(float)
-    values = (home_return, return_on_robot, home_return - return_on_robot, 100 * mean(on_robot, fell))
-    return dict(zip(METRICS, (*values, 100 * mean(on_robot, far)), strict=True))
+    falls = (percent(runs, ~runs.balanced.astype(bool)) for runs in (home, on_robot))
+    far = percent(on_robot, on_robot.distance > FAR_DISTANCE)
+    values = (home_return, return_on_robot, home_return - return_on_robot, *falls, far)
+    return dict(zip(METRICS, values, strict=True))
 
 
 def episode_rows(run: Training, result: Result) -> pd.DataFrame:
