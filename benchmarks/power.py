@@ -133,7 +133,8 @@ def measure(path: Path, condition: str, command: Command) -> dict[str, Any]:
     meter = Meter()
     world: Any = env.world
     state, motors, advance = world.actuation, world.robot.num_motors, world.engine.advance
-    motor = (*(one[:, None] for one in (state.torque_constant, state.resistance, state.voltage)), state.constants[0])
+    each = (state.torque_constant, state.resistance, state.voltage, state.voltage_clip)
+    motor = tuple(one[:, None] for one in each)
 
     def advance_and_measure(servo_steps: Array) -> None:
         for k in range(int(servo_steps.max(initial=0))):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -80,6 +81,25 @@ def test_motor_experiment_identifies_the_true_parameters(motors: Identification,
     assert motors.estimate("servo_kd").value == pytest.approx(0.015, rel=2e-3)
     assert motors.estimate("voltage").value == pytest.approx(16.0, abs=1e-3)
     assert (motors.experiment, motors.robot, motors.digest) == ("motor", "minitaur", rack[0].digest)
+
+
+def test_motor_experiment_identifies_a_limit_of_the_current(
+    robot: RobotDescription, record: Record, nominal: PhysicalParams, motors: Identification
+):
+    true = {**RACK, "voltage_clip": 4.0}
+    (recording,) = record(true, short_plan(EXPERIMENTS["motor"], robot))
+    limited = EXPERIMENTS["motor"].fit(robot, recording, nominal)
+    for name in ("voltage_clip", "resistance", "torque_constant"):
+        estimate = limited.estimate(name)
+        assert estimate.value == pytest.approx(true[name], rel=5e-3), name
+        assert estimate.identifiable
+        assert estimate.interval[0] < true[name] < estimate.interval[1]
+    for item in (item for item in limited.estimates if item.name == "motor_strength"):
+        assert item.value == pytest.approx(true["motor_strength"], rel=5e-3)
+    assert any("above a net voltage of 4.0 V" in note for note in limited.notes)
+    # For a robot without a limit the recording says up to where there is none.
+    assert "voltage_clip" not in [item.name for item in motors.estimates]
+    assert any(re.search(r"no net voltage above \d\.\d V was recorded.* 16\.0 V at full duty", n) for n in motors.notes)
 
 
 def test_estimates_reduce_errors_on_held_out_phases(motors: Identification):

@@ -31,6 +31,7 @@ def test_nominal_values_are_the_data_sheets(params: PhysicalParams):
     expected = dict.fromkeys(PhysicalParams.names(), 0.0) | {
         **dict.fromkeys(("base_mass_ratio", "leg_mass_ratio", "base_inertia_ratio", "leg_inertia_ratio"), 1.0),
         **{"motor_strength": 1.0, "torque_constant": 0.0954, "resistance": 0.186, "voltage": 16.0},
+        "voltage_clip": 50.0,
         **{"servo_kp": 1.0, "servo_kd": 0.015, "servo_latency": 0.003, "control_latency": 0.02, "control_step": 0.006},
         **{"contact_friction": 1.0, "contact_stiffness": 3000.0, "contact_spinning_friction": 0.004},
         "contact_shear_ratio": 1.0,

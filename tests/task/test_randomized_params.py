@@ -21,6 +21,7 @@ TABLE_1 = load_ranges("table1")
 FULL: Ranges = {
     **TABLE_1,
     **{"torque_constant": (0.08, 0.11), "resistance": (0.15, 0.22), "servo_latency": (0.0, 0.010)},
+    **{"voltage_clip": (3.0, 5.0)},
     **{"contact_stiffness": (1500.0, 6000.0), "contact_spinning_friction": (0.002, 0.006), "imu_mount": (-0.02, 0.02)},
 }
 STILL: dict[str, Any] = {
@@ -115,7 +116,7 @@ def torques_by_hand(env: LocomotionEnv, target: np.ndarray, angle: np.ndarray, s
         duty = params.servo_kp[i, m] * (target[:, m] - seen) - params.servo_kd[i, m] * turning
         now = speed[:, i, m]
         net = np.clip(duty, -1, 1) * params.voltage[i] - params.torque_constant[i] * now
-        current = net / params.resistance[i]
+        current = np.clip(net, -params.voltage_clip[i], params.voltage_clip[i]) / params.resistance[i]
         torque = np.sign(current) * np.interp(np.abs(current), *env.robot.torque_table) * params.motor_strength[i, m]
         expected[:, i, m] = torque - params.motor_friction[i, m] * np.tanh(now / 0.1)
     return expected
@@ -123,6 +124,7 @@ def torques_by_hand(env: LocomotionEnv, target: np.ndarray, angle: np.ndarray, s
 
 def test_motor_torques_follow_the_randomized_parameters():
     names = ("motor_strength", "motor_friction", "voltage", "torque_constant", "resistance", "servo_latency")
+    names = (*names, "voltage_clip")
     env = make_env({name: FULL[name] for name in names}, num_envs=3, params=FINE)
     robot, datas, model = env.robot, env.world.engine.datas, build_model(env.robot)
     dofs = [model.joint(name).dofadr[0] for name in robot.motor_names]
@@ -138,7 +140,9 @@ def test_motor_torques_follow_the_randomized_parameters():
     np.testing.assert_allclose(applied, torques_by_hand(env, *went), rtol=1e-9, atol=1e-9)
     for name in names:
         apart = np.abs(applied - torques_by_hand(env, *went, **{name: robot.nominal_params()[name]})).max(axis=0)
-        assert np.all(apart > 1e-6)  # differs for each motor of each robot
+        differs = apart > 1e-6
+        # It differs for each motor of each robot; the limit only for motors with high currents.
+        assert np.all(differs.any(axis=1) if name == "voltage_clip" else differs)
 
 
 # --- when parameters are drawn -------------------------------------------------------------------------------------

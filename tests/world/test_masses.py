@@ -9,7 +9,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from surefoot.world.actuation import SHARED_ARRAYS
 from surefoot.world.interface import SensorReadings, SimState
 from surefoot.world.mujoco_engine import MASS_FIELDS
 from surefoot.world.mujoco_model import build_model
@@ -150,8 +149,7 @@ def same_state(one: dict[str, Any], other: dict[str, Any], rows: list[int], with
     for part in ("actuation", "params"):
         for name, array in one[part].items():
             if name not in without:
-                place = slice(None) if name in SHARED_ARRAYS else rows
-                equal.append(np.array_equal(array[place], other[part][name][place]))
+                equal.append(np.array_equal(array[rows], other[part][name][rows]))
     return all(equal)
 
 

@@ -221,6 +221,19 @@ def test_torque_readings_change_nothing_else(make_world, trot, engine):
     assert "torque_history" not in without.get_state()["actuation"]
 
 
+def test_a_state_from_before_a_parameter_was_added_can_be_restored(make_world, trot, assert_same):
+    world, other = make_world(2), make_world(2)
+    for k in range(10):
+        world.step(trot(k))
+    state = world.get_state()
+    for part in ("params", "actuation"):
+        del state[part]["voltage_clip"]
+    state["actuation"]["constants"] = np.zeros(4)  # as earlier versions had it
+    other.set_state(state)
+    for k in range(10, 20):
+        assert_same(world.step(trot(k)), other.step(trot(k)))
+
+
 def test_a_restored_state_has_its_torques(make_world, trot):
     world = make_world(2, config={"torque_readings": True})
     for k in range(10):

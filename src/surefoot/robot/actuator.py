@@ -41,7 +41,7 @@ class DcMotorData:
     viscous_friction: _Each = 0.0
 
     kind: ClassVar[str] = "dc"
-    own_parameters: ClassVar[tuple[str, ...]] = ("torque_constant", "resistance", "voltage")
+    own_parameters: ClassVar[tuple[str, ...]] = ("torque_constant", "resistance", "voltage", "voltage_clip")
     """Physical parameters with the same names as fields of this class."""
 
     def __post_init__(self) -> None:

@@ -262,6 +262,14 @@ class PhysicalParams:
         actuator="joint",
         servo_only=True,
     )
+    voltage_clip: Array = _parameter(
+        "motors: limit of the net voltage",
+        "V",
+        "maximum of terminal voltage minus back-EMF; over the resistance it is the controller's current limit",
+        (0.5, 1000.0),
+        actuator="dc",
+        servo_only=True,
+    )
 
     @property
     def num_envs(self) -> int:

@@ -62,7 +62,7 @@ _PARAM_ARRAYS = {
         name: name
         for name in (
             *("torque_constant", "resistance", "voltage", "servo_latency", "load_friction", "speed_filter"),
-            *("presliding", "motor_offset", "torque_lag"),
+            *("presliding", "motor_offset", "torque_lag", "voltage_clip"),
         )
     },
     **{name: f"servo_{name}" for name in ("kp", "kd")},
@@ -70,7 +70,10 @@ _PARAM_ARRAYS = {
     **{"strength": "motor_strength", "friction": "motor_friction", "viscous": "motor_viscous_friction"},
 }
 """Arrays of `ActuationState` that contain a physical parameter, with the parameter's name."""
-_ROBOT_ARRAYS = ("torque_constant", "resistance", "voltage", "servo_latency", "speed_filter", "torque_lag", "energy")
+_ROBOT_ARRAYS = (
+    *("torque_constant", "resistance", "voltage", "voltage_clip", "servo_latency", "speed_filter"),
+    *("torque_lag", "energy"),
+)
 """Arrays of `ActuationState` with one value per robot."""
 _MOTOR_ARRAYS = (
     *("strength", "friction", "viscous", "kp", "kd", "load_friction", "target", "duty", "torque", "constraint_speed"),
@@ -93,6 +96,7 @@ class ActuationState(NamedTuple):
     torque_constant: Array  # (N,)
     resistance: Array  # (N,)
     voltage: Array  # (N,)
+    voltage_clip: Array  # (N,) V, limit of the net voltage
     kp: Array  # (N, M) duty/rad of DC motors, N m/rad of joint actuators
     kd: Array  # (N, M) per speed
     servo_latency: Array  # (N,) s
@@ -106,7 +110,7 @@ class ActuationState(NamedTuple):
     table_torque: Array  # (points,) N m, all robots
     joint: NDArray[np.bool_]  # (1,) all robots: whether motors are joint actuators instead of DC motors
     joint_limits: Array  # (3, M) all robots: maximum speed at full torque, no-load speed, overheat torque
-    constants: Array  # (4,) all robots: voltage clip V, overheat torque N m and time s (inf: off), servo step s
+    constants: Array  # (3,) all robots: overheat torque N m and time s (inf: off), servo step s
     constraint: NDArray[np.bool_]  # (1,) all robots: whether motors are constraints instead of DC motors
     ticks: NDArray[np.int64]  # (N,) servo steps since reset
     times: Array  # (N, H) s, times of the history
@@ -151,9 +155,9 @@ def new_actuation(robot: RobotDescription, num_envs: int, history: int, config: 
         "servo_sample": (2 * motors,),
         "contact_ticks": (len(robot.legs),),
     }
-    current, torque, clip, hot_torque, joint_limits = np.zeros(1), np.zeros(1), 0.0, 0.0, np.zeros((3, motors))
+    current, torque, hot_torque, joint_limits = np.zeros(1), np.zeros(1), 0.0, np.zeros((3, motors))
     if isinstance(data, DcMotorData):
-        (current, torque), clip, hot_torque = robot.torque_table, data.voltage_clip, data.overheat_torque
+        (current, torque), hot_torque = robot.torque_table, data.overheat_torque
     else:
         each = (data.full_torque_speed, data.speed_limit, data.overheat_torque)
         joint_limits = np.array([np.broadcast_to(values, motors) for values in each], float)
@@ -164,7 +168,7 @@ def new_actuation(robot: RobotDescription, num_envs: int, history: int, config: 
         table_torque=torque,
         joint=np.array([robot.actuator.kind == "joint"]),
         joint_limits=joint_limits,
-        constants=np.array([clip, hot_torque, overheat_time, robot.timing.servo_step]),
+        constants=np.array([hot_torque, overheat_time, robot.timing.servo_step]),
         constraint=np.array([config.actuator == "constraint"]),
         ticks=np.zeros(num_envs, np.int64),
         switched_off=np.zeros((num_envs, motors), np.bool_),
@@ -214,7 +218,7 @@ def record_sample(state: ActuationState, i: int) -> None:
         state.times[i],
         state.history[i],
         state.ticks[i],
-        state.ticks[i] * state.constants[3],
+        state.ticks[i] * state.constants[2],
         state.sample[i],
     )
     size = state.torque_history.shape[1]
@@ -226,7 +230,7 @@ def record_sample(state: ActuationState, i: int) -> None:
 @kernel
 def protect_motor(state: ActuationState, i: int, m: int, torque: float, hot_torque: float) -> float:
     """Return a motor's torque [N m] after thermal protection, which switches it off; also stored as `motor_torque`."""
-    _, _, hot_limit, dt = state.constants
+    _, hot_limit, dt = state.constants
     if hot_limit < math.inf:
         hot = overheat_kernel(torque, state.overheated_time[i, m], dt, hot_torque)
         state.overheated_time[i, m] = hot
@@ -242,7 +246,7 @@ def protect_motor(state: ActuationState, i: int, m: int, torque: float, hot_torq
 def compute_joint_torque(state: ActuationState, i: int) -> None:
     """Compute `state.torque` of robot `i` with joint actuators, from the delayed angles and speeds."""
     motors = state.target.shape[1]
-    dt = state.constants[3]
+    dt = state.constants[2]
     follow = dt / (state.speed_filter[i] + dt)
     power = 0.0
     for m in range(motors):
@@ -293,7 +297,7 @@ def compute_torque(state: ActuationState, i: int) -> None:
                 state.sample[i, m],
                 state.kp[i, m],
                 state.kd[i, m],
-                state.constants[3],
+                state.constants[2],
             )
             if state.joint[0]:
                 state.constraint_torque[i, m] = state.max_torque[i, m] * state.strength[i, m]
@@ -308,7 +312,7 @@ def compute_torque(state: ActuationState, i: int) -> None:
                 state.sample[i, motors + m], state.friction[i, m], state.viscous[i, m]
             )
         return
-    voltage_clip, hot_torque, _, dt = state.constants
+    hot_torque, _, dt = state.constants
     time = state.ticks[i] * dt
     read_at = time - state.servo_latency[i]
     read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, read_at, 2 * motors, state.servo_sample[i])
@@ -330,7 +334,7 @@ def compute_torque(state: ActuationState, i: int) -> None:
             state.limit_ticks[i, m] += 1.0
             duty = math.copysign(1.0, duty)
         current = motor_current_kernel(
-            duty, speed, state.voltage[i], state.torque_constant[i], state.resistance[i], voltage_clip
+            duty, speed, state.voltage[i], state.torque_constant[i], state.resistance[i], state.voltage_clip[i]
         )
         torque = motor_torque_kernel(current, state.strength[i, m], state.table_current, state.table_torque)
         torque = protect_motor(state, i, m, torque, hot_torque)
@@ -354,14 +358,14 @@ def add_constraint_work(state: ActuationState, i: int) -> None:
         power += state.motor_torque[i, m] * state.sample[i, motors + m]
         if abs(state.motor_torque[i, m]) >= _SATURATION_FRACTION * state.constraint_torque[i, m]:
             state.limit_ticks[i, m] += 1.0
-    state.energy[i] += state.constants[3] * abs(power)
+    state.energy[i] += state.constants[2] * abs(power)
 
 
 @njit(cache=True)
 def read_delayed(state: ActuationState, latency: Array, out: Array) -> None:
     """Write the samples of `latency` (N,) [s] ago to `out` (N, width)."""
     for i in range(len(latency)):
-        at = state.ticks[i] * state.constants[3] - latency[i]
+        at = state.ticks[i] * state.constants[2] - latency[i]
         read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, at, out.shape[1], out[i])
 
 
@@ -369,7 +373,7 @@ def read_delayed(state: ActuationState, latency: Array, out: Array) -> None:
 def read_torque(state: ActuationState, latency: Array, out: Array) -> None:
     """Write the motor torques of `latency` (N,) [s] ago to `out` (N, M)."""
     for i in range(len(latency)):
-        at = state.ticks[i] * state.constants[3] - latency[i]
+        at = state.ticks[i] * state.constants[2] - latency[i]
         read_kernel(state.times[i], state.torque_history[i], state.ticks[i] + 1, at, out.shape[1], out[i])
 
 

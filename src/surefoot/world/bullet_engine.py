@@ -190,7 +190,7 @@ class BulletEngine:
         """
         p, actuation, model = self._p, self.actuation, self.models[i]
         motors = model.motors
-        dt = actuation.constants[3]
+        dt = actuation.constants[2]
         stiff = actuation.kp[i] * dt
         gains = np.divide(stiff, stiff + actuation.kd[i], out=np.zeros_like(stiff), where=stiff > 0)
         p.setJointMotorControlArray(

@@ -229,7 +229,7 @@ def _apply_foot_forces(native: Native, state: ActuationState, i: int, velocity: 
                 native.stiffness[i],
                 native.shear[i],
                 native.damping,
-                state.constants[3],
+                state.constants[2],
                 force,
             )
             # MuJoCo expects a force at the body's centre of mass and a torque.
@@ -260,7 +260,7 @@ def _set_target_speeds(native: Native, state: ActuationState, i: int) -> None:
     for m in range(len(native.motor_dof)):
         row = native.motor_row[m]
         end_speed = native.motor_sign[m] * state.constraint_speed[i, m]
-        aref[row] = (end_speed - qvel[native.motor_dof[m]]) / state.constants[3]
+        aref[row] = (end_speed - qvel[native.motor_dof[m]]) / state.constants[2]
         limit[row] = state.constraint_torque[i, m]
 
 

@@ -24,7 +24,6 @@ from numpy.typing import ArrayLike, NDArray
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.world.actuation import SHARED_ARRAYS
 from surefoot.world.interface import SensorReadings, SimState, Simulation, WorldConfig
 from surefoot.world.registry import WORLDS
 from surefoot.world.sim_world import SimWorld, check_batch
@@ -105,15 +104,12 @@ def _join(parts: Sequence[Rows]) -> Rows:
 
 def _join_arrays(parts: Sequence[dict[str, Array]]) -> dict[str, Array]:
     """Concatenate the arrays of states of consecutive robots, by name."""
-    return {
-        name: array if name in SHARED_ARRAYS else np.concatenate([part[name] for part in parts])
-        for name, array in parts[0].items()
-    }
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
 def _select_rows(arrays: dict[str, Array], rows: slice) -> dict[str, Array]:
     """Select the rows of some robots from the arrays of a state, by name."""
-    return {name: array if name in SHARED_ARRAYS else array[rows] for name, array in arrays.items()}
+    return {name: array[rows] for name, array in arrays.items()}
 
 
 class ProcessWorld:

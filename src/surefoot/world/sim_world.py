@@ -13,6 +13,7 @@ from surefoot.errors import SurefootError
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.seeding import generators
 from surefoot.world.actuation import (
+    SHARED_ARRAYS,
     new_actuation,
     read_delayed,
     read_imu,
@@ -285,14 +286,16 @@ class SimWorld:
         }
 
     def _actuation_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the arrays of the actuation by name, without those that this world does not use."""
-        return {name: array for name, array in self.actuation._asdict().items() if array.size}
+        """Return the arrays of the actuation that change, by name, without those that this world does not use."""
+        arrays = self.actuation._asdict().items()
+        return {name: array for name, array in arrays if array.size and name not in SHARED_ARRAYS}
 
     def set_state(self, state: dict[str, Any]) -> None:
         """Restore a state from `get_state`, to continue exactly from there."""
-        self.set_params(np.arange(self.num_envs), PhysicalParams(**state["params"]))
+        # Checkpoints of earlier versions lack parameters that were added later, whose values are still nominal.
+        self.set_params(np.arange(self.num_envs), replace(self.params, **state["params"]))
         for name, array in self._actuation_arrays().items():
-            array[...] = state["actuation"][name]
+            array[...] = state["actuation"].get(name, array)
         self.engine.set_state(np.arange(self.num_envs), state["engine"])
         self._control_steps[:] = state["control_steps"]
         self._noise[:] = state["noise"]

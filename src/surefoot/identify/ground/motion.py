@@ -148,7 +148,7 @@ def _torque_excess(robot: RobotDescription, recording: Recording, params: Physic
             recording.voltage[:, None],
             params.torque_constant[0],
             params.resistance[0],
-            robot.dc_motor.voltage_clip,
+            params.voltage_clip[0],
         )
         steps.append(motor_torque(current, params.motor_strength[0], *robot.torque_table))
     return np.asarray(np.mean(steps, axis=0) - steps[-1])

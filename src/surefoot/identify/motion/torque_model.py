@@ -61,9 +61,12 @@ def predict_torque(robot: RobotDescription, segment: TorqueRows, params: Physica
     delayed = {(c, s): segment.state(s, c) for c, s in set(pairs)}
     speed = np.stack([present[c] for c in control])
     servo_angle, servo_speed = (np.stack([delayed[pair][part] for pair in pairs]) for part in (0, 1))
-    kp, kd, constant, resistance = (
+    kp, kd, constant, resistance, clip = (
         values.reshape(len(values), 1, -1)
-        for values in (params.servo_kp, params.servo_kd, params.torque_constant, params.resistance)
+        for values in (
+            *(params.servo_kp, params.servo_kd, params.torque_constant, params.resistance),
+            params.voltage_clip,
+        )
     )
     zeros = np.zeros(len(control))
     open_circuit, battery_resistance = (
@@ -78,7 +81,7 @@ def predict_torque(robot: RobotDescription, segment: TorqueRows, params: Physica
         if name == TORQUE_GAIN:
             gain[:, motor] += column
     duty = servo_duty(segment.target, servo_angle, servo_speed, kp, kd)
-    table, clip, voltage = robot.torque_table, robot.dc_motor.voltage_clip, open_circuit
+    table, voltage = robot.torque_table, open_circuit
     for _ in range(_SAG_ROUNDS):
         current = motor_current(duty, speed, voltage, constant, resistance, clip)
         # The battery current is computed from torques (`emulator.hardware.power_tick`), so it is limited by the last

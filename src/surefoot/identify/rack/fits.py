@@ -7,6 +7,7 @@ also gives it, together with the latency of the servo.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,8 +19,16 @@ from surefoot.arrays import Array
 from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.model import GAIN_DEVIATION, TORQUE_GAIN
-from surefoot.identify.rack.model import FULL_MISFIT, fit_on_rack, moving_legs, rack_estimates, replay_errors
-from surefoot.identify.recording import Recording, interpolate_columns
+from surefoot.identify.rack.model import (
+    FULL_MISFIT,
+    LIMIT,
+    fit_on_rack,
+    moving_legs,
+    pwm_readings,
+    rack_estimates,
+    replay_errors,
+)
+from surefoot.identify.recording import Recording
 from surefoot.identify.replay import Replayer, Segment, segment_from_recording
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -40,6 +49,8 @@ PRE_WINDOW = 0.010
 """Time before a spike [s] whose readings are fitted."""
 MAX_AGE, AGE_STEP = 0.08, 0.0002
 """Maximum age of readings, and grid step of the search over ages [s]."""
+MAX_EXTRAPOLATION = 1.2
+"""Voltage at full duty, relative to the highest recorded net voltage, above which a note is returned."""
 MIN_SPEED_RATIO = 8.0
 """Minimum speed of a clear response, relative to the noise of the speeds."""
 
@@ -69,7 +80,7 @@ def fit_motor(
 ) -> Identification:
     """Return the result of the motor experiment; see `Experiment.fit`."""
     segment = _segment(recording, "fit")
-    result = fit_on_rack(robot, recording, segment, prior, report)
+    result = fit_on_rack(robot, recording, segment, prior, report, find_limit=True)
     fit = result.fit
     estimates = (*rack_estimates(robot, result, prior), *estimate_imu(recording), estimate_voltage(recording))
     gains = np.zeros(robot.num_motors)
@@ -81,12 +92,13 @@ def fit_motor(
     series: tuple[Series, ...] = ()
     if recording.phases("check"):
         checks, series = _check(robot, recording, (prior, params), gains)
-    notes = []
+    curve = _torque_curve(robot, recording, segment, params, gains)
+    notes = _limit_notes(estimates, params, float(curve.x.max() * params.resistance[0]))
     if result.misfit > FULL_MISFIT:
         notes.append(
             f"the fitted robot does not repeat the recording: its errors are {result.misfit:.0f} times the noise of "
-            "the sensors. Something differs that is no parameter (play or friction of other joints, the motors' torque "
-            "curve, the servo's law): intervals are wider for it, and may still be too narrow"
+            "the sensors. Something differs that is no parameter (play or friction of other joints, the shape of the "
+            "motors' torque curve, the servo's law): intervals are wider for it, and may still be too narrow"
         )
     if unidentifiable := [e.label for e in estimates if not e.identifiable]:
         notes.append(f"not identifiable from these data: {', '.join(unidentifiable)}")
@@ -97,9 +109,32 @@ def fit_motor(
         checks,
         tuple(fit.strongest_correlations()),
         tuple(notes),
-        (*series, _torque_curve(robot, recording, segment, params, gains)),
+        (*series, curve),
         {"torque_gain": gains.tolist(), "torque_accuracy": GAIN_DEVIATION / float(np.sqrt(robot.num_motors))},
     )
+
+
+def _limit_notes(estimates: Sequence[ParameterEstimate], params: PhysicalParams, highest: float) -> list[str]:
+    """Return what the recording tells about a limit of the current, and what it can't tell.
+
+    Args:
+        estimates: the estimates.
+        params: the robot's parameters with the estimates, one row.
+        highest: highest net voltage in the recording [V].
+    """
+    if any(item.name == LIMIT and item.identifiable for item in estimates):
+        return [
+            f"the motors' torque does not grow above a net voltage of {params.voltage_clip[0]:.1f} V: their controller "
+            "limits the current, or they saturate"
+        ]
+    stall = float(min(params.voltage[0], params.voltage_clip[0]))
+    if stall <= MAX_EXTRAPOLATION * highest:
+        return []
+    return [
+        f"no net voltage above {highest:.1f} V was recorded, and a motor at rest has {stall:.1f} V at full duty: a "
+        "limit of the current in between would not show, and a policy that uses higher torques relies on the "
+        "description"
+    ]
 
 
 def _segment(recording: Recording, use: str) -> Segment:
@@ -137,17 +172,10 @@ def _torque_curve(
 ) -> Series:
     """Return torque over current: reported torque of PWM phases over motor strength, and the data sheet's curve."""
     motors = moving_legs(robot, recording)
-    index = np.searchsorted(segment.command_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
-    driven = segment.kind[index] == Mode.PWM
-    states = segment.states[driven]
-    # The speeds of a state are older than its torques by the control latency.
-    later = recording.time[states] + float(params.control_latency[0])
-    speed = interpolate_columns(later, recording.time, recording.motor_velocity[:, motors])
-    before = np.maximum(states - 1, 0)
+    states, duty, speed, voltage = pwm_readings(robot, recording, segment, motors, float(params.control_latency[0]))
     current = motor_current(
-        segment.command[index][driven][:, motors], speed, recording.voltage[before][:, None], params.torque_constant[0],
-        params.resistance[0], robot.dc_motor.voltage_clip,
-    )  # fmt: skip
+        duty, speed, voltage, params.torque_constant[0], params.resistance[0], params.voltage_clip[0]
+    )
     torque = np.abs(recording.motor_torque[states][:, motors]) / (params.motor_strength[0] * (1 + gains))[motors]
     magnitude = np.abs(current).ravel()
     edges = np.arange(0.0, magnitude.max() + 2.0, 2.0)

@@ -10,11 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from surefoot.actuator.motor import motor_torque
 from surefoot.arrays import Array
+from surefoot.deploy.messages import Mode
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Fit, fit_least_squares
 from surefoot.identify.model import GAIN_DEVIATION, TORQUE_GAIN, Nuisance, Observations, ReplayModel, Unknown
-from surefoot.identify.recording import Recording
+from surefoot.identify.recording import Recording, interpolate_columns
 from surefoot.identify.replay import ReplayedReadings, Replayer, Segment
 from surefoot.identify.result import FitProgress, ParameterEstimate, add_model_error
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -31,6 +33,8 @@ the error in a wrong local minimum."""
 _RELATIVE_STEP = 1e-6
 """Step of finite differences relative to a parameter's typical size; simulations on the rack are smooth enough."""
 _MAX_ROUNDS = 3
+_CONSISTENT = 1.15
+"""Ratio of residuals to the assumed noise below which the noise is consistent."""
 _SIZES = {
     "torque_constant": 0.1,
     "resistance": 0.2,
@@ -41,6 +45,13 @@ _SIZES = {
     "leg_mass_ratio": 1.0,
     "leg_inertia_ratio": 1.0,
 }
+LIMIT = "voltage_clip"
+"""Unknown of motors whose controller limits the current."""
+_LIMITS, _RATIOS = np.append(np.geomspace(0.15, 0.99, 25), 1.0), np.geomspace(0.5, 4.0, 13)
+"""Grid of the search for a limit: relative to the highest net voltage in the recording, for resistances relative to the
+description's."""
+_LIMIT_GAIN = 0.8
+"""Error of the torques with a limit, relative to the error without one, below which a limit is fitted."""
 _MOTOR_SIZES = {"motor_strength": 1.0, "motor_friction": 0.1, "motor_viscous_friction": 0.01}
 UNMODELLED = {
     "leg_mass_ratio": 0.015,
@@ -164,6 +175,15 @@ class RackFit(NamedTuple):
         """Root mean square error of the fitted model, relative to the noise of the sensors; at least 1."""
         return float(np.sqrt(np.mean((self.noise / NOISE) ** 2)))
 
+    @property
+    def residual(self) -> Array:
+        """Ratios of the residuals of angles, speeds and torques (3,) to the noise that the fit assumed."""
+        return np.asarray(np.sqrt(np.mean(self.fit.residuals.reshape(3, -1) ** 2, axis=1)))
+
+    def with_residual_noise(self) -> RackFit:
+        """Return the fit with errors of the model as noise; otherwise intervals would be too narrow."""
+        return self._replace(noise=np.maximum(self.residual, 1.0) * self.noise)
+
 
 def fit_on_rack(
     robot: RobotDescription,
@@ -172,39 +192,110 @@ def fit_on_rack(
     prior: PhysicalParams,
     report: FitProgress,
     every: int = 5,
+    find_limit: bool = False,
 ) -> RackFit:
-    """Fit all parameters that are identifiable on a rack to every `every`-th state of a segment."""
+    """Fit all parameters that are identifiable on a rack to every `every`-th state of a segment.
+
+    With `find_limit` a limit of the current is fitted if the torques show one, see `start_with_limit`.
+    """
     motors = moving_legs(robot, recording)
-    fits = []
-    for latency in rank_latencies(robot, recording, segment, prior, 3 * every)[:MAX_STARTS]:
+
+    def fit(unknowns: Sequence[Unknown], noise: Array = NOISE, start: Array | None = None) -> RackFit:
+        alone = sum(unknown.colour is None for unknown in unknowns)
+        replayer = Replayer(robot, len({unknown.colour for unknown in unknowns}) + alone + 1)
+        observations = [rack_observations(robot, recording, segment, replayer, every, noise)]
+        model = ReplayModel(unknowns, prior, observations, replayer.num_envs)
+        return RackFit(fit_least_squares(model, start, lambda k, cost: report(f"iteration {k}", cost)), noise)
+
+    def repeat(one: RackFit) -> RackFit:
+        """Repeat a fit with the residual noise of the last one until the noise is consistent."""
+        for _ in range(_MAX_ROUNDS - 1):
+            if np.all(one.residual < _CONSISTENT):
+                break
+            one = fit(one.fit.unknowns, one.with_residual_noise().noise, one.fit.values)
+        return one
+
+    latencies = rank_latencies(robot, recording, segment, prior, 3 * every)
+    start = start_with_limit(robot, recording, segment, prior, latencies[0]) if find_limit else None
+    if start is not None:
+        report(f"with a limit of the net voltage, of about {start.voltage_clip[0]:.1f} V", float("nan"))
+    fits: list[RackFit] = []
+    for latency in latencies[:MAX_STARTS]:
         report(f"starting from a control latency of {1e3 * latency:.0f} ms", float("nan"))
-        unknowns = rack_unknowns(robot, prior, latency, motors)
-        replayer = Replayer(robot, len({u.colour for u in unknowns if u.colour is not None}) + 10)
-        observe = partial(rack_observations, robot, recording, segment, replayer, every)
-        fits.append(_fit_rounds(observe, prior, unknowns, replayer.num_envs, report))
-        if fits[-1].noise[0] < GOOD_ANGLE_ERROR:
+        unknowns = rack_unknowns(robot, prior if start is None else start, latency, motors)
+        fits.append(fit([*unknowns, *([] if start is None else [_limit_unknown(robot, start)])]))
+        if fits[-1].with_residual_noise().noise[0] < GOOD_ANGLE_ERROR:
             break
-    return min(fits, key=lambda one: float(one.noise[0]))
+    return repeat(min(fits, key=lambda one: float(one.residual[0])))
 
 
-def _fit_rounds(
-    observe: partial[Observations],
-    prior: PhysicalParams,
-    unknowns: Sequence[Unknown],
-    batch: int,
-    report: FitProgress,
-) -> RackFit:
-    """Fit from one start, and repeat with the residual noise of the last fit until the noise is consistent."""
-    noise, start = NOISE, None
-    for _ in range(_MAX_ROUNDS):
-        model = ReplayModel(unknowns, prior, [observe(noise=noise)], batch)
-        fit = fit_least_squares(model, start, lambda k, cost: report(f"iteration {k}", cost))
-        # Model errors count as noise; otherwise intervals would be too narrow.
-        ratio, used = np.sqrt(np.mean(fit.residuals.reshape(3, -1) ** 2, axis=1)), noise
-        if np.all(ratio < 1.15):
-            break
-        noise, start = np.maximum(ratio, 1.0) * noise, fit.values
-    return RackFit(fit, used)
+def start_with_limit(
+    robot: RobotDescription, recording: Recording, segment: Segment, prior: PhysicalParams, latency: float
+) -> PhysicalParams | None:
+    """Return the prior with a limit of the net voltage, resistance and strengths that predict torques, if there is one.
+
+    In PWM phases the net voltage of a motor is known. A limit L of it, a resistance R and a strength s predict the
+    torque s table(clip(net, -L, L) / R). Another torque curve looks like another resistance and strength, and only a
+    limit like a limit: there is one if it reduces the error of the best resistance clearly. A fit from the prior would
+    hardly find it, because at first no reading depends on it.
+
+    Args:
+        robot: the robot.
+        recording: the recording.
+        segment: its segment.
+        prior: parameters before the fit, one row.
+        latency: control latency [s].
+    """
+    motors = moving_legs(robot, recording)
+    states, duty, speed, voltage = pwm_readings(robot, recording, segment, motors, latency)
+    net = duty * voltage - prior.torque_constant[0] * speed
+    highest = float(np.abs(net).max(initial=0.0))
+    if not highest:
+        return None
+    measured = recording.motor_torque[states][:, motors]
+    limits = (highest * _LIMITS)[:, None, None, None]
+    resistances = (prior.resistance[0] * _RATIOS)[:, None, None]
+    unit = motor_torque(np.clip(net, -limits, limits) / resistances, 1.0, *robot.torque_table)
+    strengths = np.sum(unit * measured, axis=2) / np.sum(unit**2, axis=2)
+    strengths = np.clip(strengths, *robot.allowed["motor_strength"])
+    errors = np.sqrt(np.mean((strengths[:, :, None] * unit - measured) ** 2, axis=(2, 3)))
+    limit, ratio = np.unravel_index(np.argmin(errors), errors.shape)
+    if errors[limit, ratio] > _LIMIT_GAIN * errors[-1].min():
+        return None
+    strength = prior.motor_strength.copy()
+    strength[0, motors] = strengths[limit, ratio]
+    values = {LIMIT: limits.ravel()[limit], "resistance": resistances.ravel()[ratio], "motor_strength": strength}
+    return prior.with_values(robot, **values)
+
+
+def _limit_unknown(robot: RobotDescription, start: PhysicalParams) -> Unknown:
+    value = float(start.voltage_clip[0])
+    return Unknown(LIMIT, value, *robot.allowed[LIMIT], _RELATIVE_STEP * value)
+
+
+def pwm_readings(
+    robot: RobotDescription, recording: Recording, segment: Segment, motors: NDArray[np.int64], latency: float
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Return what some motors do in the states of a segment's PWM phases, in which their servos are off.
+
+    Args:
+        robot: the robot.
+        recording: the recording.
+        segment: its segment.
+        motors: indices of the motors (m,).
+        latency: control latency [s].
+
+    Returns:
+        Indices of the states (T,), duties (T, m), speeds at the time of the torques [rad/s] (T, m), and battery
+        voltage [V] (T, 1).
+    """
+    index = np.searchsorted(segment.command_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
+    driven = segment.kind[index] == Mode.PWM
+    states = segment.states[driven]
+    # The speeds of a state are older than its torques by the control latency.
+    speed = interpolate_columns(recording.time[states] + latency, recording.time, recording.motor_velocity[:, motors])
+    voltage = recording.voltage[np.maximum(states - 1, 0)][:, None]
+    return states, segment.command[index][driven][:, motors], speed, voltage
 
 
 def rack_estimates(robot: RobotDescription, result: RackFit, prior: PhysicalParams) -> list[ParameterEstimate]:
