@@ -72,34 +72,32 @@ class RobotComparison:
 
     @cached_property
     def policies(self) -> pd.DataFrame:
-        """One row per policy of the groups in `shared` and robot: group, seed, robot, motors, and `METRICS`."""
-        rows = []
-        for group in self.shared:
-            for seed, runs in self.episodes[self.episodes.group == group].groupby("seed"):
-                home = runs[runs.world == HOME]
-                for robot in self.study.hidden.seeds:
-                    on_robot = runs[runs.world == robot_name(robot)]
-                    if len(on_robot):
-                        row = {"group": group, "seed": seed, "robot": robot, "motors": self.study.hidden.family(robot)}
-                        rows.append(row | _metrics(home, on_robot))
-        return pd.DataFrame(rows)
+        """One row per policy of the groups in `shared` and robot: as `robots`, with the seed."""
+        return pd.DataFrame(
+            [
+                row | {"seed": seed}
+                for group in self.shared
+                for seed, runs in self.episodes[self.episodes.group == group].groupby("seed")
+                for row in self._rows(group, runs)
+            ]
+        )
 
     @cached_property
     def robots(self) -> pd.DataFrame:
         """One row per group and robot: seeds, runs, and `METRICS`."""
-        rows = []
-        for group in self.groups:
-            runs = self.episodes[self.episodes.group == group]
-            home = runs[runs.world == HOME]
-            for seed in self.study.hidden.seeds:
-                on_robot = runs[runs.world == robot_name(seed)]
-                if len(on_robot):
-                    own = home[home.robot.isin(on_robot.robot.unique())]
-                    row = {"group": group, "robot": seed, "motors": self.study.hidden.family(seed)}
-                    rows.append(
-                        row | {"seeds": on_robot.seed.nunique(), "runs": len(on_robot)} | _metrics(own, on_robot)
-                    )
-        return pd.DataFrame(rows)
+        groups = ((group, self.episodes[self.episodes.group == group]) for group in self.groups)
+        return pd.DataFrame([row for group, runs in groups for row in self._rows(group, runs)])
+
+    def _rows(self, group: str, runs: pd.DataFrame) -> list[dict[str, Any]]:
+        """Return one row per robot on which a group's runs have been."""
+        home, rows = runs[runs.world == HOME], []
+        for seed in self.study.hidden.seeds:
+            on_robot = runs[runs.world == robot_name(seed)]
+            if len(on_robot):
+                own = home[home.robot.isin(on_robot.robot.unique())]
+                row = {"group": group, "robot": seed, "motors": self.study.hidden.family(seed)}
+                rows.append(row | {"seeds": on_robot.seed.nunique(), "runs": len(on_robot)} | _metrics(own, on_robot))
+        return rows
 
     @cached_property
     def groups(self) -> list[str]:
