@@ -25,6 +25,7 @@ from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import undisturbed_task
 from surefoot.evaluation.runs import measure_runs
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.actuator import nominal_params
 from surefoot.robot.params import CONTROLLER_PARAMETERS, PARAMETER_GROUPS, PARAMETERS
 from surefoot.robot.params_file import ParamsFile, ParamValue, param_values
 from surefoot.studies.evaluations import GAP_SEED, EvaluationRun
@@ -52,7 +53,7 @@ class Command:
     out: Path = Path("results/identified/gap_causes.csv")
     """Table to write."""
     robots: tuple[int, ...] = ()
-    """Seeds of the robots; all by default."""
+    """Seeds of the robots; all by default. The table keeps its rows of other robots."""
 
 
 def variants(
@@ -69,7 +70,9 @@ def variants(
     """
     truth, sheet = robot_task(task, robots, seed, folder), RobotDescription.load(task.robot)
     nominal = param_values(PhysicalParams.nominal(sheet), PhysicalParams.names(sheet))
-    known = {name: file.values[name] for name in file.values if name not in CONTROLLER_PARAMETERS}
+    # A parameter of the motors that is not in the file is the data sheet's.
+    known = {**{name: nominal[name] for name in nominal_params(sheet.actuator)}, **file.values}
+    known = {name: value for name, value in known.items() if name not in CONTROLLER_PARAMETERS}
     hidden = {
         name: nominal[name]
         for name, value in truth.params.items()
@@ -112,6 +115,9 @@ def measure(command: Command) -> pd.DataFrame:
 def main(command: Command) -> None:
     """Write the table, and print its means over robots."""
     table = measure(command)
+    if command.out.is_file():
+        others = pd.read_csv(command.out)
+        table = pd.concat([others[~others.robot.isin(table.robot)], table]).sort_values("robot", kind="stable")
     write_csv(command.out, table)
     for motors, part in table.groupby("motors", sort=False):
         means = part.groupby("variant", sort=False)[["return", "falls_percent"]].mean().reset_index()
