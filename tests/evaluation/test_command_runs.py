@@ -114,7 +114,7 @@ def names(robot: DrivenRobot) -> set[str]:
 def test_live_parameters_are_those_of_motors_and_engine(robot: DrivenRobot):
     bullet_only = {name for name, declared in PARAMETERS.items() if declared.engines}
     assert bullet_only == {"knee_friction", "knee_play", "floor_unevenness"}
-    joint = {"voltage", "torque_constant", "resistance"}
+    joint = {"voltage", "torque_constant", "resistance", "voltage_clip"}
     assert names(robot) == set(PARAMETERS) - set(FIXED_PARAMETERS) - bullet_only - joint
     assert {parameter.group for parameter in robot.live_parameters()} == {"body", "motors", "contact", "sensors"}
     units = {parameter.name: parameter.unit for parameter in robot.live_parameters()}
