@@ -97,9 +97,18 @@ def test_motor_experiment_identifies_a_limit_of_the_current(
     for item in (item for item in limited.estimates if item.name == "motor_strength"):
         assert item.value == pytest.approx(true["motor_strength"], rel=5e-3)
     assert any("above a net voltage of 4.0 V" in note for note in limited.notes)
+    assert not any("description allows" in note for note in limited.notes)
     # For a robot without a limit the recording says up to where there is none.
     assert "voltage_clip" not in [item.name for item in motors.estimates]
     assert any(re.search(r"no net voltage above \d\.\d V was recorded.* 16\.0 V at full duty", n) for n in motors.notes)
+
+
+def test_a_note_names_estimates_at_the_highest_value_that_the_robot_allows(
+    robot: RobotDescription, rack: tuple[Recording, Recording], nominal: PhysicalParams
+):
+    weaker = replace(robot, allowed={**robot.allowed, "motor_strength": (0.0, 0.85)})  # the motors have 0.9
+    bounded = EXPERIMENTS["motor"].fit(weaker, rack[0], nominal.with_values(weaker, motor_strength=0.8))
+    assert any(note.startswith("motor_strength at the highest value") for note in bounded.notes)
 
 
 def test_estimates_reduce_errors_on_held_out_phases(motors: Identification):

@@ -102,6 +102,11 @@ def fit_motor(
         )
     if unidentifiable := [e.label for e in estimates if not e.identifiable]:
         notes.append(f"not identifiable from these data: {', '.join(unidentifiable)}")
+    if bounded := sorted({e.name for e in estimates if e.identifiable and e.value >= e.high}):
+        notes.append(
+            f"{', '.join(bounded)} at the highest value that the robot's description allows: other estimates make up "
+            "for it, and intervals may be too narrow; raise the value in [allowed] of robot.toml"
+        )
     return Identification(
         "motor",
         robot.name,
