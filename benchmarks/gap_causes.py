@@ -35,8 +35,6 @@ from surefoot.studies.study_config import load_study
 from surefoot.tables import plain_rows, print_table, write_csv
 from surefoot.task.config import TaskConfig
 
-TRAINED_IN, AS_IT_IS, IDENTIFIED = "training simulator", "robot as it is", "no difference but the engine"
-
 
 @dataclass(frozen=True)
 class Command:
@@ -82,14 +80,14 @@ def variants(
     def with_params(values: Mapping[str, ParamValue], robot: str = truth.robot) -> TaskConfig:
         return replace(truth, robot=robot, params={**truth.params, **values})
 
-    yield TRAINED_IN, HOME, undisturbed_task(task)
-    yield AS_IT_IS, robots.world, truth
+    yield "training simulator", HOME, undisturbed_task(task)
+    yield "robot as it is", robots.world, truth
     for group in PARAMETER_GROUPS:
         values = {name: value for name, value in known.items() if PARAMETERS[name].group == group}
         motors = task.robot if group == "motors" else truth.robot
         yield f"{group} as identified", robots.world, with_params(values, motors)
     yield "without effects that no experiment finds", robots.world, with_params(hidden)
-    yield IDENTIFIED, robots.world, with_params({**known, **hidden}, task.robot)
+    yield "no difference but the engine", robots.world, with_params({**known, **hidden}, task.robot)
 
 
 def measure(command: Command) -> pd.DataFrame:
@@ -105,7 +103,7 @@ def measure(command: Command) -> pd.DataFrame:
         for policy in policies:
             run = EvaluationRun.load(policy, {"episodes": study.hidden.starts, "seed": GAP_SEED})
             for name, world, task in variants(run.task, study.hidden, seed, file, folder):
-                runs = measure_runs(run.run(replace(task, randomize={}), world))
+                runs = measure_runs(run.run(task, world))
                 row = {"robot": seed, "motors": study.hidden.family(seed), "variant": name, "policies": len(policies)}
                 rows.append(row | {"return": runs["return"].mean(), "falls_percent": 100 * (1 - runs.balanced.mean())})
     keys = ["robot", "motors", "variant", "policies"]

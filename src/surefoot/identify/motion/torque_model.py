@@ -63,10 +63,7 @@ def predict_torque(robot: RobotDescription, segment: TorqueRows, params: Physica
     servo_angle, servo_speed = (np.stack([delayed[pair][part] for pair in pairs]) for part in (0, 1))
     kp, kd, constant, resistance, clip = (
         values.reshape(len(values), 1, -1)
-        for values in (
-            *(params.servo_kp, params.servo_kd, params.torque_constant, params.resistance),
-            params.voltage_clip,
-        )
+        for values in (params.servo_kp, params.servo_kd, params.torque_constant, params.resistance, params.voltage_clip)
     )
     zeros = np.zeros(len(control))
     open_circuit, battery_resistance = (

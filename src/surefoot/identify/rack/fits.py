@@ -93,7 +93,7 @@ def fit_motor(
     if recording.phases("check"):
         checks, series = _check(robot, recording, (prior, params), gains)
     curve = _torque_curve(robot, recording, segment, params, gains)
-    notes = _limit_notes(estimates, params, float(curve.x.max() * params.resistance[0]))
+    notes = _limit_notes(estimates, params, float(curve.x.max(initial=0.0) * params.resistance[0]))
     if result.misfit > FULL_MISFIT:
         notes.append(
             f"the fitted robot does not repeat the recording: its errors are {result.misfit:.0f} times the noise of "

@@ -206,8 +206,6 @@ def fit_on_rack(
     motors = moving_legs(robot, recording)
 
     def fit(unknowns: Sequence[Unknown], noise: Array = NOISE, start: Array | None = None) -> RackFit:
-        alone = sum(unknown.colour is None for unknown in unknowns)
-        replayer = Replayer(robot, len({unknown.colour for unknown in unknowns}) + alone + 1)
         observations = [rack_observations(robot, recording, segment, replayer, every, noise)]
         model = ReplayModel(unknowns, prior, observations, replayer.num_envs)
         return RackFit(fit_least_squares(model, start, lambda k, cost: report(f"iteration {k}", cost)), noise)
@@ -224,11 +222,17 @@ def fit_on_rack(
     start = start_with_limit(robot, recording, segment, prior, latencies[0]) if find_limit else None
     if start is not None:
         report(f"with a limit of the net voltage, of about {start.voltage_clip[0]:.1f} V", float("nan"))
+    limit = [] if start is None else [_limit_unknown(robot, start)]
+    starts = {
+        latency: [*rack_unknowns(robot, start or prior, latency, motors), *limit] for latency in latencies[:MAX_STARTS]
+    }
+    colours = [unknown.colour for unknown in starts[latencies[0]]]
+    # All starts have the same unknowns, so one batch of robots serves every fit.
+    replayer = Replayer(robot, len(set(colours)) + colours.count(None) + 1)
     fits: list[RackFit] = []
-    for latency in latencies[:MAX_STARTS]:
+    for latency, unknowns in starts.items():
         report(f"starting from a control latency of {1e3 * latency:.0f} ms", float("nan"))
-        unknowns = rack_unknowns(robot, prior if start is None else start, latency, motors)
-        fits.append(fit([*unknowns, *([] if start is None else [_limit_unknown(robot, start)])]))
+        fits.append(fit(unknowns))
         if fits[-1].with_residual_noise().noise[0] < GOOD_ANGLE_ERROR:
             break
     return repeat(min(fits, key=lambda one: float(one.residual[0])))
@@ -253,7 +257,7 @@ def start_with_limit(
     """
     motors = moving_legs(robot, recording)
     resistances = prior.resistance[0] * _RESISTANCES
-    found, with_limit, without = dict[str, Array](), np.inf, np.inf
+    values, with_limit, without = dict[str, Array](), np.inf, np.inf
     for error, constant in itertools.product(_LATENCY_ERRORS, prior.torque_constant[0] * np.array(_CONSTANTS)):
         states, duty, speed, voltage = pwm_readings(robot, recording, segment, motors, max(latency + error, 0.0))
         net = duty * voltage - constant * speed
@@ -271,8 +275,8 @@ def start_with_limit(
         if errors[best] < with_limit:
             with_limit, strength = float(errors[best]), prior.motor_strength.copy()
             strength[0, motors] = strengths[best]
-            found = {LIMIT: limits[best[0]], "resistance": resistances[best[1]], "motor_strength": strength}
-    return prior.with_values(robot, **found) if with_limit < _LIMIT_GAIN * without else None
+            values = {LIMIT: limits[best[0]], "resistance": resistances[best[1]], "motor_strength": strength}
+    return prior.with_values(robot, **values) if with_limit < _LIMIT_GAIN * without else None
 
 
 def _limit_unknown(robot: RobotDescription, start: PhysicalParams) -> Unknown:
