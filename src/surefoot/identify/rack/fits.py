@@ -183,7 +183,7 @@ def _torque_curve(
     )
     torque = np.abs(recording.motor_torque[states][:, motors]) / (params.motor_strength[0] * (1 + gains))[motors]
     magnitude = np.abs(current).ravel()
-    edges = np.arange(0.0, magnitude.max() + 2.0, 2.0)
+    edges = np.arange(0.0, magnitude.max(initial=0.0) + 2.0, 2.0)
     place = np.digitize(magnitude, edges) - 1
     bins = [place == k for k in range(len(edges)) if np.sum(place == k) >= 20]
     x = np.array([np.mean(magnitude[inside]) for inside in bins])

@@ -258,8 +258,11 @@ def start_with_limit(
     motors = moving_legs(robot, recording)
     resistances = prior.resistance[0] * _RESISTANCES
     values, with_limit, without = dict[str, Array](), np.inf, np.inf
-    for error, constant in itertools.product(_LATENCY_ERRORS, prior.torque_constant[0] * np.array(_CONSTANTS)):
-        states, duty, speed, voltage = pwm_readings(robot, recording, segment, motors, max(latency + error, 0.0))
+    readings = [
+        pwm_readings(robot, recording, segment, motors, max(latency + error, 0.0)) for error in _LATENCY_ERRORS
+    ]
+    constants = prior.torque_constant[0] * np.array(_CONSTANTS)
+    for (states, duty, speed, voltage), constant in itertools.product(readings, constants):
         net = duty * voltage - constant * speed
         limits = _LIMITS * np.abs(net).max(initial=0.0)
         if not limits.any():
