@@ -126,11 +126,10 @@ def _parse(argv: list[str]) -> tuple[TrainConfig, TrainCommand]:
     words, range_options = take_ranges(argv[1:])
     ranges = range_options.apply(base.task.robot, base.task.randomize)
     # Ranges are parsed separately, since tyro would accept any number of values.
-    preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize={})})
+    preset = TrainCommand(**vars(base) | {"task": replace(base.task, randomize={}), "pushes": base.task.pushes.enabled})
     command = parse(TrainCommand, words, f"surefoot train {argv[0]}", preset)
     task = command.simulator.condition(command.settings, estimated_gains=False).simulate(command.task)
-    pushes = replace(task.pushes, enabled=task.pushes.enabled or command.pushes)
-    task = replace(task, pushes=pushes, randomize=ranges)
+    task = replace(task, pushes=replace(task.pushes, enabled=command.pushes), randomize=ranges)
     return TrainConfig(**{name: getattr(command, name) for name in vars(base)} | {"task": task}), command
 
 

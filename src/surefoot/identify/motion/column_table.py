@@ -10,6 +10,7 @@ import csv
 import io
 import itertools
 import pickle
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
@@ -171,6 +172,27 @@ class _NdarrayClass:
     """Placeholder for NumPy's ndarray class, which pickles only refer to."""
 
 
+class _PickledDtype:
+    """Type of numbers in a pickle. NumPy's own class would take any layout from the file, also one beyond the data."""
+
+    def __init__(self, name: Any, *_: Any) -> None:
+        if not isinstance(name, str) or not re.fullmatch(r"[biuf]\d{1,2}", name):
+            raise pickle.UnpicklingError("only numbers are read")
+        self.value = np.dtype(name)
+
+    def __setstate__(self, state: Any) -> None:
+        _, order, *structure = state[:5]
+        if order not in ("<", ">", "|", "=") or structure != [None] * 3:
+            raise pickle.UnpicklingError("only numbers are read")
+        self.value = self.value.newbyteorder(order)
+
+
+def _numbers(content: Any, kind: Any) -> np.ndarray[Any, Any]:
+    if not isinstance(kind, _PickledDtype) or not isinstance(content, bytes):
+        raise pickle.UnpicklingError("arrays of objects are not read")
+    return np.frombuffer(content, kind.value)
+
+
 class _PickledArray:
     """Array of a pickle, filled from its pickled state: version, shape, dtype, order, bytes."""
 
@@ -179,9 +201,7 @@ class _PickledArray:
 
     def __setstate__(self, state: Any) -> None:
         _, shape, kind, fortran, content = state
-        if not isinstance(kind, np.dtype) or kind.hasobject or not isinstance(content, bytes):
-            raise pickle.UnpicklingError("arrays of objects are not read")
-        self.value = np.frombuffer(content, kind).reshape(shape, order="F" if fortran else "C")
+        self.value = _numbers(content, kind).reshape(shape, order="F" if fortran else "C")
 
 
 def _from_buffer(content: Any, kind: Any, shape: Any, order: Any) -> _PickledArray:
@@ -191,15 +211,7 @@ def _from_buffer(content: Any, kind: Any, shape: Any, order: Any) -> _PickledArr
 
 
 def _scalar(kind: Any, content: Any = b"") -> float:
-    if not isinstance(kind, np.dtype) or kind.hasobject or not isinstance(content, bytes):
-        raise pickle.UnpicklingError("objects are not read")
-    return float(np.frombuffer(content, kind)[0])
-
-
-def _dtype(name: Any, *_: Any) -> Any:
-    if not isinstance(name, str) or len(name) > 8 or np.dtype(name).hasobject:
-        raise pickle.UnpicklingError("objects are not read")
-    return np.dtype(name)
+    return float(_numbers(content, kind)[0])
 
 
 _SAFE_CLASSES: dict[tuple[str, str], Any] = {
@@ -207,7 +219,7 @@ _SAFE_CLASSES: dict[tuple[str, str], Any] = {
     **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")},
     **{(f"numpy.{core}.numeric", "_frombuffer"): _from_buffer for core in ("core", "_core")},
     ("numpy", "ndarray"): _NdarrayClass,
-    ("numpy", "dtype"): _dtype,
+    ("numpy", "dtype"): _PickledDtype,
     ("_codecs", "encode"): lambda text, kind="latin1": str(text).encode("latin1"),
     ("collections", "OrderedDict"): dict,
 }
@@ -228,16 +240,20 @@ def _read_pickle(path: Path) -> ColumnTable:
         data = _unwrap_arrays(_Unpickler(io.BytesIO(content)).load(), itertools.count())
     except Exception as error:  # a pickle is a program: any error is possible
         raise SurefootError(f"is not a pickle of numbers: {' '.join(str(error).split())}") from error
-    if isinstance(data, list) and data and all(isinstance(row, dict) for row in data):
-        rows = [dict(_flatten(row)) for row in data]
-        names = list(dict.fromkeys(name for row in rows for name in row))[:MAX_COLUMNS]
-        if not names:
-            raise SurefootError("holds no numbers")
-        return ColumnTable({name: np.array([row.get(name, np.nan) for row in rows]) for name in names})
     try:
+        if isinstance(data, list) and data and all(isinstance(row, dict) for row in data):
+            return _table_from_rows(data)
         return _table_from_arrays(data if isinstance(data, dict) else {"data": np.asarray(data, float)})
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise SurefootError(f"is not a table: {' '.join(str(error).split())}") from error
+
+
+def _table_from_rows(data: Sequence[Mapping[Any, Any]]) -> ColumnTable:
+    rows = [dict(_flatten(row)) for row in data]
+    names = list(dict.fromkeys(name for row in rows for name in row))[:MAX_COLUMNS]
+    if not names:
+        raise SurefootError("holds no numbers")
+    return ColumnTable({name: np.array([row.get(name, np.nan) for row in rows]) for name in names})
 
 
 def _unwrap_arrays(data: Any, items: Iterator[int], depth: int = 0) -> Any:
