@@ -170,6 +170,8 @@ def test_train_uses_simulator_options_and_file():
     assert (config.task.max_steps, config.task.pushes.enabled) == (60, True)
     task = _parse(["trot", "--set", "voltage=15", "--control-latency", "0.012", "--params=robot.toml"])[0].task
     assert (task.params, task.params_source) == ({**VALUES, "control_latency": 0.012, "voltage": 15.0}, SOURCE)
+    assert _parse(["trot-robust"])[0].task.pushes.enabled
+    assert not _parse(["trot-robust", "--no-pushes"])[0].task.pushes.enabled
     task = _parse(["trot"])[0].task
     assert (task.actuator, task.params_source) == ("dc", {})
 

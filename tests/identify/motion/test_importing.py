@@ -158,6 +158,13 @@ class Zeros:
         return np.core.numeric._frombuffer, (1 << 40, np.dtype("f8"), (1 << 37,), "C")
 
 
+class Beyond:
+    """Pickles as numbers of one byte, each of which is 1000 numbers of eight bytes: memory that is not the file's."""
+
+    def __reduce__(self):
+        return np.dtype, ("u1", False, True), (3, "|", (np.dtype("f8"), (1000,)), None, None, 1, 1, 0)
+
+
 BAD_TABLES = {
     "text only": ("npz", {"name": np.array(["a"])}, "holds no arrays of numbers"),
     "no rows": ("npz", {"time": np.zeros(0), "command": np.zeros((0, 12))}, "holds no arrays of numbers"),
@@ -168,6 +175,10 @@ BAD_TABLES = {
     "text": ("pkl", "hello", "is not a table: could not convert"),
     "uneven": ("pkl", [[1.0, 2.0], [3.0]], "is not a table: setting an array element"),
     "objects": ("pkl", {"command": np.array([None, 1], object)}, "objects are not read"),
+    "structure": ("pkl", {"command": np.zeros(3, [("a", "f8")])}, "objects are not read"),
+    "beyond the file": ("pkl", Beyond(), "objects are not read"),
+    "huge": ("pkl", [[10**400]], "is not a table: int too large"),
+    "huge in a row": ("pkl", [{"a": 10**400}], "is not a table: int too large"),
     "deep": ("pkl", {"command": [[[[[[[[[[1.0]]]]]]]]]]}, "nested too deeply"),
     "a repeated list": ("pkl", billion(), "it holds more than 1000 items"),
     "missing bytes": ("pkl", Zeros(), "arrays of objects are not read"),
@@ -228,6 +239,10 @@ def test_table_reads_all_numbers_that_numpy_pickles(tmp_path: Path):
             {k: v.tolist() for k, v in table_columns.items()},
             {"a": [2.5, 4.0], "b[0]": [1.0, np.nan], "b[1]": [1.0, np.nan]},
         )
+    other = {"time": np.arange(3, dtype=">f8"), "n": np.arange(3, dtype=">i2"), "b": np.array([True, False, True])}
+    (tmp_path / "log.pkl").write_bytes(pickle.dumps(other))
+    columns = {name: column.tolist() for name, column in read_table(tmp_path / "log.pkl").columns.items()}
+    assert columns == {"time": [0, 1, 2], "n": [0, 1, 2], "b": [1, 0, 1]}
     (tmp_path / "log.pkl").write_bytes(pickle.dumps([1, 2, 3]))
     assert read_table(tmp_path / "log.pkl").columns["data"].tolist() == [1, 2, 3]
 

@@ -177,13 +177,13 @@ class _PickledDtype:
 
     def __init__(self, name: Any, *_: Any) -> None:
         if not isinstance(name, str) or not re.fullmatch(r"[biuf]\d{1,2}", name):
-            raise pickle.UnpicklingError("only numbers are read")
+            raise pickle.UnpicklingError("objects are not read")
         self.value = np.dtype(name)
 
     def __setstate__(self, state: Any) -> None:
         _, order, *structure = state[:5]
         if order not in ("<", ">", "|", "=") or structure != [None] * 3:
-            raise pickle.UnpicklingError("only numbers are read")
+            raise pickle.UnpicklingError("objects are not read")
         self.value = self.value.newbyteorder(order)
 
 
