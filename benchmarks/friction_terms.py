@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from surefoot.identify.motion.priors import GAINS, default_names
+from surefoot.identify.motion.priors import default_names
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import replay_motion
 from surefoot.identify.motion.robot_fit import fit_robot
@@ -24,6 +24,7 @@ from surefoot.identify.motion.robot_model import GROUND_SECONDS
 from surefoot.identify.motion.traces import read_motion
 from surefoot.identify.replay import Replayer
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import GAINS
 from surefoot.tables import print_table, read_csv, write_csv
 
 DATA = Path(__file__).parents[1] / "data" / "pupper_v2"

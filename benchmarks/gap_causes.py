@@ -12,6 +12,7 @@ robot and variant, with means over policies and starts; the tables that are prin
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -30,10 +31,14 @@ from surefoot.robot.params import CONTROLLER_PARAMETERS, PARAMETER_GROUPS, PARAM
 from surefoot.robot.params_file import ParamsFile, ParamValue, param_values
 from surefoot.studies.evaluations import GAP_SEED, EvaluationRun
 from surefoot.studies.hidden_robots import HiddenRobots, other_motors_folder, read_identified
+from surefoot.studies.robot_comparison import without_hidden_parts
 from surefoot.studies.robot_runs import HOME, robot_task
 from surefoot.studies.study_config import load_study
 from surefoot.tables import plain_rows, print_table, write_csv
 from surefoot.task.config import TaskConfig
+
+_PARTS = {"imu_bias": "imu_mount", "motor_friction": "knee_friction"}
+"""Parameters that are part of what an experiment finds as another one."""
 
 
 @dataclass(frozen=True)
@@ -68,6 +73,8 @@ def variants(
     """
     truth, sheet = robot_task(task, robots, seed, folder), RobotDescription.load(task.robot)
     nominal = param_values(PhysicalParams.nominal(sheet), PhysicalParams.names(sheet))
+    # What an experiment finds as a bias of the IMU or friction of a motor is in part of another origin.
+    sums = param_values(without_hidden_parts(robots.params(seed, folder)), PhysicalParams.names(sheet))
     # A parameter of the motors that is not in the file is the data sheet's.
     known = {**{name: nominal[name] for name in nominal_params(sheet.actuator)}, **file.values}
     known = {name: value for name, value in known.items() if name not in CONTROLLER_PARAMETERS}
@@ -84,9 +91,11 @@ def variants(
     yield "robot as it is", robots.world, truth
     for group in PARAMETER_GROUPS:
         values = {name: value for name, value in known.items() if PARAMETERS[name].group == group}
+        values |= {part: sums[part] for name, part in _PARTS.items() if name in values}
         motors = task.robot if group == "motors" else truth.robot
         yield f"{group} as identified", robots.world, with_params(values, motors)
-    yield "without effects that no experiment finds", robots.world, with_params(hidden)
+    found = {name: sums[name] for name in _PARTS}
+    yield "without effects that no experiment finds", robots.world, with_params({**hidden, **found})
     yield "no difference but the engine", robots.world, with_params({**known, **hidden}, task.robot)
 
 
@@ -123,4 +132,8 @@ def main(command: Command) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Command))
+    try:
+        main(tyro.cli(Command))
+    except SurefootError as error:
+        print(error, file=sys.stderr)
+        raise SystemExit(2) from None

@@ -23,6 +23,7 @@ import numpy as np
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_fit import fit_robot
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import GAINS
 from surefoot.tables import print_table, read_csv, write_csv
 
 OUT = Path("results/identification/hidden_logs.csv")
@@ -94,7 +95,7 @@ def identify(robot: RobotDescription, number: int, known: bool) -> list[dict[str
     """Return one row per hidden value of a log: true value, estimate and interval."""
     truth = draw_truth(robot, number)
     motion, prior, begin = make_log(robot, truth, number), PhysicalParams.nominal(robot), time.process_time()
-    gains = ("servo_kp", "servo_kd") if known else ()
+    gains = GAINS if known else ()
     prior = prior.with_values(robot, **{name: truth[name] for name in gains})
     result = fit_robot(robot, [motion], [], None, prior, known=gains)
     seconds = time.process_time() - begin

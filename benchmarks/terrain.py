@@ -26,6 +26,7 @@ from surefoot.evaluation.conditions import Condition
 from surefoot.evaluation.policy_table import measure
 from surefoot.evaluation.rollout import run_episodes
 from surefoot.report.figures.terrain import success_figure
+from surefoot.robot.params import GAINS
 from surefoot.robot.randomization import load_ranges
 from surefoot.tables import read_csv, write_csv
 from surefoot.world.registry import WORLDS, find_world
@@ -75,7 +76,7 @@ def main(command: Command) -> None:
         if unknown := set(command.but) - set(ranges):
             raise SystemExit(f"--but {unknown.pop()} is not a parameter of table I; choose from {', '.join(ranges)}")
         ranges = {row: limits for row, limits in ranges.items() if row not in command.but}
-        gains = dict(zip(("servo_kp", "servo_kd"), command.gains, strict=True)) if command.gains else {}
+        gains = dict(zip(GAINS, command.gains, strict=True)) if command.gains else {}
         condition = Condition(
             randomize=ranges if command.table1 else {},
             params=gains,

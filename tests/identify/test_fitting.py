@@ -248,7 +248,7 @@ def test_considered_unknowns_widen_intervals_and_are_never_fitted():
     model = Linear(matrix, data, [unknown("a", 0.0, prior=100.0), considered])
     restricted = model.restrict(np.array([True, False]), np.zeros(2))
     held = hold_unidentifiable(model, fit_least_squares(restricted), [considered])
-    assert (held.has_considered, held.held.tolist()) == (True, [False, True])
+    assert (held.considered, held.held.tolist()) == (1, [False, True])
     assert held.values == pytest.approx([data.mean(), 0.0], abs=1e-3)
     # Residuals hardly show c, so half of its prior uncertainty, 0.5 x 0.3, adds to 1 / sqrt(400).
     assert held.deviation[0] == pytest.approx(np.hypot(0.05, 0.15), rel=0.25)

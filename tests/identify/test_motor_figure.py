@@ -81,6 +81,7 @@ def test_a_log_is_written_and_read(tmp_path: Path) -> None:
         ("time,target,angle\n0,1,1\n", "has 1 rows"),
         ("time,target,angle\n0,1,1\n0,1,1\n", "times must rise"),
         ("time,target,angle\n0,nan,1\n1,1,1\n", "must be finite"),
+        ("time,target,angle\n0,1,1\n5e9,1,1\n", "is 5e\\+09 s long, at most 600 s; are its times in seconds"),
     ],
 )
 def test_a_table_that_is_not_a_motor_log_is_rejected(tmp_path: Path, text: str, message: str) -> None:

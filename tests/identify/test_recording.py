@@ -56,6 +56,13 @@ def test_states_are_assigned_to_phases(recorded: Recording):
     assert recorded.still_motors == frozenset()
 
 
+def test_a_recording_without_a_needed_phase_is_rejected(recorded: Recording):
+    assert recorded.require_phases("fit") == recorded.phases("fit") != []
+    phases = [{**phase, "use": "transition"} for phase in recorded.meta["phases"]]
+    with pytest.raises(SurefootError, match="the recording has no phase with the use 'fit'"):
+        replace(recorded, meta={**recorded.meta, "phases": phases}).require_phases("fit")
+
+
 def test_load_rejects_missing_and_foreign_files(robot: RobotDescription, tmp_path: Path):
     assert rejected(tmp_path / "none.npz", robot).endswith("can't be read: No such file or directory")
     text = tmp_path / "text.npz"
@@ -107,6 +114,10 @@ def test_load_rejects_changed_data(recorded: Recording, robot: RobotDescription,
         ({"motor_names": ["m"]}, "not of 'minitaur' with its motors"),
         ({"ended": "stopped by the operator"}, "stopped early: stopped by the operator"),
         ({"phases": [[]]}, "meta.phases[0] is []; it must be a table with keys from: name, mode, use, duration"),
+        (
+            {"phases": [{"name": "a", "mode": 1, "use": "fit", "duration": 0}]},
+            "meta.phases[0].duration is 0; it must be over 0",
+        ),
         ({"phases": 3}, "meta.phases is 3; it must be a list of values, each a table"),
         ({"mode_changes": [0.1]}, "meta.mode_changes[0] is 0.1; it must be a list of 2 values, each a number"),
         ({"frames": []}, "meta.frames is []; it must be a table with keys from: received, missing, damaged"),

@@ -38,7 +38,7 @@ def motor(strength: float = 0.9, missing: int = 3) -> Identification:
         ParameterEstimate("motor_friction", 0.001, 0.01, "N m", 0, low=0.0),
         ParameterEstimate("base_height", 0.02, 0.001, "m", 0),
     ]
-    sensors = {"torque_gain": [0.01, -0.02], "torque_accuracy": 0.004}
+    sensors = {"torque_gain": [0.01, -0.02] * 4, "torque_accuracy": 0.004}
     return Identification("motor", "minitaur", tuple(estimates), sensors=sensors, digest="ab12", date="2026-11-21")
 
 
@@ -63,7 +63,7 @@ def test_merged_parameters_are_read_as_written(robot: RobotDescription, tmp_path
     expected[3] = 1.0
     np.testing.assert_array_equal(again.params.motor_strength[0], expected)
     assert again.params.resistance[0] == robot.dc_motor.resistance
-    assert again.tables["sensors"] == {"torque_gain": [0.01, -0.02], "torque_accuracy": 0.004}
+    assert again.tables["sensors"] == {"torque_gain": [0.01, -0.02] * 4, "torque_accuracy": 0.004}
     source = again.tables["identified"]["motor"]
     assert source == {"date": "2026-11-21", "data": "ab12", "file": "recording.npz", "surefoot": __version__}
     assert missing_experiments(again, ("motor", "mass")) == ("mass",)
@@ -128,6 +128,9 @@ def test_a_repeated_experiment_replaces_its_results(robot: RobotDescription, tmp
     [
         ("sensors = 3\n[params]", "sensors is 3; it must be a table"),
         ("[params]\n[identified]\nmotor = 1", r"identified\.motor is 1; it must be a table"),
+        ('[params]\n[sensors]\ntorque_gain = "high"', r"sensors\.torque_gain is 'high'; it must be 8 numbers within"),
+        ("[params]\n[sensors]\ntorque_gain = [0.1, 0.2]", r"torque_gain is \[0\.1, 0\.2\]; it must be 8 numbers"),
+        ("[params]\n[sensors]\ntorque_accuracy = nan", r"torque_accuracy is nan; it must be a number within"),
         ('robot = "cat"\n[params]', "has parameters of robot 'cat', not of 'minitaur'"),
     ],
 )

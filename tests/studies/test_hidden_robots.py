@@ -108,3 +108,8 @@ def test_names_that_no_group_may_take_are_rejected() -> None:
 def test_invalid_hidden_robots_are_rejected(change: dict[str, object], message: str) -> None:
     with pytest.raises(SurefootError, match=message):
         replace(ROBOTS, **change)  # type: ignore[arg-type]
+
+
+def test_other_motors_have_a_value_for_each_key() -> None:
+    with pytest.raises(SurefootError, match=r"other_motors\.actuator\.voltage_clip has no value"):
+        OtherMotors((7,), {"voltage_clip": None})

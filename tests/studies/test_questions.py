@@ -123,3 +123,16 @@ def test_policies_that_run_on_all_robots_add_the_variance_of_their_mean() -> Non
 def test_a_question_has_either_pairs_or_a_bound(wrong: dict[str, object]) -> None:
     with pytest.raises(SurefootError, match="question 'why' must have either pairs of groups, or a group"):
         Question("gap", "why", **wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"group": "a", "within": 0.3, "expect": "less"}, "has expect, which belongs to pairs of groups"),
+        ({"pairs": (("a", "a"),)}, "'a' is compared with itself"),
+        ({"pairs": (("a", "b"), ("c", "b"), ("b", "a"))}, "b and a are compared twice"),
+    ],
+)
+def test_a_comparison_counts_once(wrong: dict[str, object], message: str) -> None:
+    with pytest.raises(SurefootError, match=f"question 'why'.*{message}"):
+        Question("gap", "why", **wrong)  # type: ignore[arg-type]

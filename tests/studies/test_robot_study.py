@@ -21,7 +21,13 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import read_params, write_params
 from surefoot.robot.randomization import load_ranges
 from surefoot.studies.evaluations import EvaluationRun
-from surefoot.studies.robot_comparison import RobotComparison, episode_rows, parameter_rows, robot_tables
+from surefoot.studies.robot_comparison import (
+    RobotComparison,
+    episode_rows,
+    parameter_rows,
+    robot_tables,
+    without_hidden_parts,
+)
 from surefoot.studies.robot_report import report_from_tables, write_robot_report
 from surefoot.studies.robot_runs import robot_kind, robot_task
 from surefoot.studies.study_config import StudyConfig, load_study, study_runs
@@ -288,6 +294,18 @@ def test_the_report_has_claims_groups_robots_and_figures(tmp_path: Path) -> None
     assert report_from_tables(few, out, "surefoot study few.yaml") == text
 
 
+def test_groups_may_have_names_like_numbers_or_missing_values(tmp_path: Path) -> None:
+    names = {"plain": "1", "whole": "NA", "sheet": "nan"}
+    text = TEXT
+    for old, new in names.items():
+        text = text.replace(f"{old}:", f"'{new}':").replace(f"{old},", f"'{new}',").replace(f"{old}]", f"'{new}']")
+    few, out = study(tmp_path, text), tmp_path / "out"
+    out.mkdir()
+    rows = comparison(study(tmp_path)).episodes
+    made = RobotComparison(study(tmp_path, text), rows.assign(group=rows.group.map(names)))
+    assert write_robot_report(made, [], out, "x").read_text() == report_from_tables(few, out, "x")
+
+
 def test_true_values_are_those_that_an_experiment_can_find(tmp_path: Path) -> None:
     few, robots = study(tmp_path), tmp_path / "robots"
     folder = tmp_path / "other"
@@ -304,6 +322,9 @@ def test_true_values_are_those_that_an_experiment_can_find(tmp_path: Path) -> No
     assert true == pytest.approx(list(truth.imu_bias[0] + truth.imu_mount[0, :2]))
     true = [row["true"] for row in rows[1, "motor_friction"]]
     assert true == pytest.approx(list(truth.motor_friction[0] + truth.knee_friction[0]))
+    same = without_hidden_parts(truth)
+    assert (same.imu_mount[0, :2].tolist(), same.knee_friction.tolist()) == ([0, 0], [0])
+    assert same.imu_mount[0, 2] == truth.imu_mount[0, 2]
     # One interval for all motors is one estimate.
     assert [(row["part"], row["true"], row["inside"]) for row in rows[1, "servo_kp"]] == [("", 1.0, True)]
     # The strength of motors of another family is relative to another curve.

@@ -53,6 +53,13 @@ def test_with_values_changes_only_the_fields_of_the_space(tmp_path: Path) -> Non
     assert set(to_optuna_params(space, trot)) == {"ppo.learning_rate", "task.reference.swing.frequency"}
 
 
+def test_a_number_of_a_configuration_is_the_choice_of_the_same_value(tmp_path: Path) -> None:
+    trot = load_train_config("trot")
+    space = load_space(space_file(tmp_path, "ppo.entropy_coefficient: {choices: [0, 0.01]}"), trot)
+    assert get_value(trot, "ppo.entropy_coefficient") == 0.0
+    assert to_optuna_params(space, trot) == {"ppo.entropy_coefficient": "0"}
+
+
 def test_released_spaces_fit_released_tasks() -> None:
     gallop, trot = load_train_config("gallop"), load_train_config("trot")
     without, with_reference = load_space(None, gallop), load_space(None, trot)
@@ -114,6 +121,11 @@ BAD = [
     ("ppo.gamma: {low: a, high: 1}", "ppo.gamma: low is 'a'; it must be a number or nothing"),
     ("seed: {low: 0, high: 9, int: true}", "seed is not searched: the search sets it itself"),
     ("ppo.gamma: {low: 0.9, high: 1, also: [ppo.gamma]}", "ppo.gamma is listed twice"),
+    ("evaluation_reward.progress: {low: 0.5, high: 2}", "evaluation_reward.progress is not searched"),
+    (
+        "{ppo.policy_hidden.0: {low: 8, high: 9, int: true}, ppo.policy_hidden: {choices: [[8, 8]]}}",
+        "ppo.policy_hidden and ppo.policy_hidden.0 set the same values",
+    ),
     ("{}", "it is empty; a search needs 1 field or more"),
 ]
 

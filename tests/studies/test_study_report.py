@@ -17,6 +17,7 @@ from run_tables import sensitivity_table
 pytest.importorskip("matplotlib")
 
 from surefoot.evaluation.sensitivity import make_test_worlds
+from surefoot.evaluation.statistics import proportion_interval
 from surefoot.report.figures.learning import bin_curve, learning_curve
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges
@@ -158,6 +159,17 @@ def test_the_report_has_tables_and_figures(tmp_path: Path, study: Comparison) ->
     assert report_from_tables(study.study, tmp_path, "surefoot study studies/robustness.yaml") == text
     with (tmp_path / "sensitivity.csv").open() as table:
         assert len(list(csv.DictReader(table))) == 4 * 3 * len(WORLDS)
+
+
+def test_trials_in_test_worlds_are_counted(study: Comparison) -> None:
+    falls = next(metric for metric in study.metrics if metric.name == "sensitivity_falls")
+    result = study.policies.results.iloc[0]["sensitivity"]
+    assert falls.count_trials(result) == 4 * len(WORLDS)
+    group, values = study.groups[0], []
+    for results in study.select_group(study.groups[0]).results:
+        values.append(np.mean(results["sensitivity"]["episodes"]["fell"][-4 * len(WORLDS) :]))
+    known, interval = proportion_interval(values, 4 * len(WORLDS)).scale(100), study.interval(group, falls)
+    assert (interval.mean, interval.low, interval.high) == pytest.approx((known.mean, known.low, known.high))
 
 
 def test_the_report_of_one_seed_has_no_intervals(tmp_path: Path) -> None:

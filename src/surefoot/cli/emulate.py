@@ -16,6 +16,7 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import DEFAULT_ROBOT, PhysicalParams, RobotDescription, parse_settings
+from surefoot.robot.params import GAINS
 from surefoot.robot.params_file import load_params, write_params
 from surefoot.task.height_scan import ScanConfig
 from surefoot.world.registry import check_takes_params, worlds_with_params
@@ -155,9 +156,7 @@ def _check(command: EmulateCommand) -> None:
         raise SurefootError("symlink and socket can't be combined; a symbolic link refers to a pseudo-terminal")
     if command.firmware is not None and command.accelerometer:
         raise SurefootError("accelerometer can't be combined with --firmware; the firmware in C sends no accelerometer")
-    if command.firmware is not None and any(
-        word.startswith(("servo_kp", "servo_kd")) for group in command.settings for word in group
-    ):
+    if command.firmware is not None and any(word.startswith(GAINS) for group in command.settings for word in group):
         raise SurefootError("set changes a gain of the servo; a firmware has its own gains, in robot.h")
     if command.baud and command.baud < 9600:
         raise SurefootError(f"baud is {command.baud:g}; it must be 9600 or more, or 0")
@@ -254,7 +253,7 @@ def _make_board(
     handshake = make_handshake(robot, limits, f"surefoot emulator {__version__}", robot.timing.servo_step)
     # Gains given by --set become the firmware's gains, such as the gains with which a policy was trained.
     settings = parse_settings([word for group in command.settings for word in group])
-    gains = {name: getattr(plant.params, name)[0] for name in ("servo_kp", "servo_kd") if name in settings}
+    gains = {name: getattr(plant.params, name)[0] for name in GAINS if name in settings}
     handshake = replace(handshake, **gains)
     return Board(plant, handshake, link, limits, faults, 1 if command.lockstep else STRIDE)
 

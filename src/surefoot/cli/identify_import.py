@@ -14,9 +14,7 @@ from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, choices
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.params import parse_settings
-
-GAINS = ("servo_kp", "servo_kd")
+from surefoot.robot.params import GAINS, parse_settings
 
 
 @dataclass(frozen=True)

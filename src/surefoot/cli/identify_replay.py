@@ -16,11 +16,10 @@ from surefoot.evaluation.recorded import load_robot
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.robot_params_file import read_gains
 from surefoot.robot import RobotDescription
+from surefoot.robot.params import GAINS
 from surefoot.robot.params_file import ParamValue, find_params, load_params, read_params
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
-
-GAINS = ("servo_kp", "servo_kd")
 
 
 @dataclass(frozen=True)

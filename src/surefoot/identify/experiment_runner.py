@@ -26,6 +26,7 @@ from surefoot.identify.recording import (
     digest_arrays,
 )
 from surefoot.robot import RobotDescription
+from surefoot.robot.params import GAINS
 from surefoot.stop_signals import StopSignals
 
 COMMAND_PERIOD = 0.002
@@ -188,7 +189,7 @@ class _ExperimentRunner:
             experiment=self.plan.experiment,
             robot=self.robot.name,
             firmware=self.handshake.firmware,
-            gains={name: tuple(getattr(self.handshake, name).tolist()) for name in ("servo_kp", "servo_kd")},
+            gains={name: tuple(getattr(self.handshake, name).tolist()) for name in GAINS},
             motor_names=self.robot.motor_names,
             rack=self.plan.rack,
             phases=tuple(RecordedPhase(p.name, int(p.mode), p.use, p.duration) for p in self.plan.phases),

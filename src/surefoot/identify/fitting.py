@@ -47,8 +47,13 @@ class Fit:
     """Derivatives of the residuals with respect to the unknowns (m, n)."""
     held: NDArray[np.bool_] | None = None
     """Mask (n,) of the unknowns held at their start values because the data do not determine them; None: none."""
-    has_considered: bool = False
-    """Whether the last unknowns are considered parameters, which are never fitted; see `hold_unidentifiable`."""
+    considered: int = 0
+    """Number of the last unknowns that are considered parameters, which are never fitted; see `hold_unidentifiable`."""
+
+    @property
+    def candidates(self) -> tuple[Unknown, ...]:
+        """Unknowns that were to be fitted: all but the considered ones, also those that are held."""
+        return self.unknowns[: len(self.unknowns) - self.considered]
 
     @property
     def free(self) -> NDArray[np.bool_]:
@@ -222,7 +227,7 @@ def hold_unidentifiable(
     jacobian = np.empty((len(residuals), len(unknowns)))
     if not free.any():
         jacobian = forward_jacobian(model, values, residuals)
-        return Fit(unknowns, values, np.diag(deviation**2.0), residuals, jacobian, ~free, bool(considered))
+        return Fit(unknowns, values, np.diag(deviation**2.0), residuals, jacobian, ~free, len(considered))
     refit = fit_least_squares(model.restrict(free, values), fit.values[fitted], report)
     values[free], residuals = refit.values, refit.residuals
     jacobian[:, free] = refit.jacobian
@@ -243,7 +248,7 @@ def hold_unidentifiable(
     covariance[np.ix_(free, ~free)] = sensitivity @ moment
     covariance[np.ix_(~free, free)] = moment @ sensitivity.T
     covariance[np.ix_(~free, ~free)] = moment
-    return Fit(unknowns, values, covariance, residuals, jacobian, ~free, bool(considered))
+    return Fit(unknowns, values, covariance, residuals, jacobian, ~free, len(considered))
 
 
 def _held_error_moment(

@@ -20,6 +20,9 @@ COLUMNS = ("time", "target", "angle")
 LEAD_IN = 0.5
 """Time [s] for which the first target is held before the log begins, so that every model starts at rest."""
 
+MAX_LENGTH = 600.0
+"""Maximum length of a log [s]."""
+
 
 @dataclass(frozen=True)
 class MotorLog:
@@ -35,13 +38,17 @@ class MotorLog:
     """Measured angle (T,) [rad]; NaN where nothing was measured."""
 
     def __post_init__(self) -> None:
-        """Reject fewer than two rows, non-finite times or targets, and times that do not rise."""
+        """Reject fewer than two rows, non-finite times or targets, times that do not rise, and too long logs."""
         if len(self.time) < 2:
             raise SurefootError(f"motor log {self.name}: has {len(self.time)} rows; it takes 2 or more")
         if not np.isfinite(self.time).all() or not np.isfinite(self.target).all():
             raise SurefootError(f"motor log {self.name}: times and targets must be finite")
         if np.any(np.diff(self.time) <= 0):
             raise SurefootError(f"motor log {self.name}: times must rise")
+        if (length := float(self.time[-1] - self.time[0])) > MAX_LENGTH:
+            raise SurefootError(
+                f"motor log {self.name}: is {length:g} s long, at most {MAX_LENGTH:g} s; are its times in seconds?"
+            )
 
     def error(self, simulated: Array) -> float:
         """Return the RMS error [rad] of simulated angles (T,) to measured ones, or to targets if none was measured."""

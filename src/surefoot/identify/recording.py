@@ -37,7 +37,7 @@ class RecordedPhase:
     """Mode of the robot."""
     use: str
     """What its readings are used for: fit, check or transition."""
-    duration: float
+    duration: Positive
     """Duration [s]."""
 
 
@@ -133,6 +133,16 @@ class Recording:
     def phases(self, *uses: str) -> list[int]:
         """Return the indices of the phases with the given uses: fit, check or transition."""
         return [k for k, phase in enumerate(self.meta["phases"]) if phase["use"] in uses]
+
+    def require_phases(self, use: str) -> list[int]:
+        """Return the indices of the phases with a use, one or more.
+
+        Raises:
+            SurefootError: there is none.
+        """
+        if not (phases := self.phases(use)):
+            raise SurefootError(f"the recording has no phase with the use '{use}'; it is not of this experiment")
+        return phases
 
     def servo_step(self, times: Array) -> NDArray[np.int64]:
         """Return the index of the first servo step that begins at or after times [s] on the robot's clock."""

@@ -25,6 +25,7 @@ from surefoot import __version__
 from surefoot.errors import SurefootError
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import GAINS
 from surefoot.robot.params_file import ParamsFile, ParamValue, param_table, read_params, write_params
 
 _UNBOUNDED = (-math.inf, math.inf)
@@ -36,7 +37,8 @@ def read_prior(path: Path | None, robot: RobotDescription) -> ParamsFile:
     """Return the parameters before an identification: from the file if it exists, otherwise the nominal parameters.
 
     Raises:
-        SurefootError: the file can't be read or belongs to another robot, or an entry that must be a table is not one.
+        SurefootError: the file can't be read or belongs to another robot, an entry that must be a table is not one, or
+            the properties of the sensors are no numbers.
     """
     if path is None or not path.exists():
         return ParamsFile(PhysicalParams.nominal(robot), ())
@@ -47,7 +49,22 @@ def read_prior(path: Path | None, robot: RobotDescription) -> ParamsFile:
     for name, table in tables.items():
         if not isinstance(table, dict):
             raise SurefootError(f"parameters {path}: {name} is {table!r}; it must be a table")
+    sensors = tables.get("sensors", {})
+    for name, count in (("torque_gain", robot.num_motors), ("torque_accuracy", None)):
+        if name in sensors and not _are_fractions(sensors[name], count):
+            what = "a number" if count is None else f"{count} numbers"
+            raise SurefootError(
+                f"parameters {path}: sensors.{name} is {sensors[name]!r}; it must be {what} within ±0.9"
+            )
     return prior
+
+
+def _are_fractions(value: Any, count: int | None) -> bool:
+    """Return whether a value is a list of `count` numbers within ±0.9, or such a number if `count` is None."""
+    values = [value] if count is None else value
+    if not isinstance(values, list) or len(values) != (count or 1):
+        return False
+    return all(isinstance(one, int | float) and abs(one) <= 0.9 for one in values)
 
 
 def missing_experiments(prior: ParamsFile, experiments: Iterable[str]) -> tuple[str, ...]:
@@ -110,7 +127,7 @@ def read_gains(prior: ParamsFile) -> dict[str, ParamValue]:
     table = prior.tables.get(GAINS_TABLE, {})
     if not isinstance(table, dict):
         return {}
-    return param_table({name: table[name] for name in ("servo_kp", "servo_kd") if name in table}, GAINS_TABLE)
+    return param_table({name: table[name] for name in GAINS if name in table}, GAINS_TABLE)
 
 
 def write_robot_params(path: Path, robot: RobotDescription, params: ParamsFile) -> Path:

@@ -377,7 +377,7 @@ class RobotDescription:
         low, high = self.allowed[name]
         bad = np.asarray(values)[~((values >= low) & (values <= high))]
         if bad.size:
-            allowed = f"{self.name} allows {low:g} to {high:g} (unit: {PARAMETERS[name].unit})"
+            allowed = f"{self.name} allows {low:g} to {high:g} (unit: {PARAMETERS[name].unit_for(self)})"
             raise SurefootError(f"{source}{name} is {bad.flat[0]:g}; {allowed}")
 
 

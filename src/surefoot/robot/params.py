@@ -27,7 +27,9 @@ class _Robot(Protocol):
     def check_allowed(self, name: str, values: Array) -> None: ...
 
 
-CONTROLLER_PARAMETERS = ("control_step", "servo_kp", "servo_kd")
+GAINS = ("servo_kp", "servo_kd")
+"""Gains of the servos."""
+CONTROLLER_PARAMETERS = ("control_step", *GAINS)
 """Parameters that the policy defines instead of the robot: they are kept when the robot's other parameters are
 replaced, unless the replacement names them."""
 PARAMETER_GROUPS = ("body", "motors", "contact", "sensors")
@@ -291,7 +293,13 @@ class PhysicalParams:
         return cls(**params)
 
     def with_values(self, robot: _Robot, **values: ArrayLike) -> PhysicalParams:
-        """Return a copy with some parameters set, each to one value for all robots or one row per robot.
+        """Return a copy with some parameters set.
+
+        Args:
+            robot: the robot that the parameters belong to.
+            **values: values by parameter: a number for all; for a parameter with one value per motor or axis (N, M)
+                also M values for every robot, N values for every motor if N differs from M, or all N rows of M; for
+                other parameters (N,) also N values.
 
         Raises:
             SurefootError: no such parameter, or a value outside the range that the robot allows.

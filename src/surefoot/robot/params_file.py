@@ -154,7 +154,7 @@ def write_params(
     lines = [_dump({"robot": robot.name, **first}), "[params]"]
     for name in PhysicalParams.names(robot) if names is None else names:
         numbers = np.asarray(getattr(params, name)[0]).tolist()
-        lines.append(f"{name} = {numbers}  # {PARAMETERS[name].unit}")
+        lines.append(f"{name} = {numbers}  # {PARAMETERS[name].unit_for(robot)}")
     lines += ["", _dump({key: value for key, value in others.items() if key not in first})]
     with describe_os_errors(path, "written"):
         atomic_write(path, "\n".join(lines).rstrip() + "\n")

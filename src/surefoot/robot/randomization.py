@@ -109,14 +109,14 @@ def _check_range(name: str, param_range: ParamRange, robot: RobotDescription | N
     intervals = _intervals(param_range)
     pairs = intervals.reshape(-1, 2)
     low, high = pairs.T
-    by = "" if robot is None else robot.name
+    by, unit = ("", "") if robot is None else (robot.name, PARAMETERS[name].unit_for(robot))
     for bad, rule in (
         (~np.isfinite(pairs).all(axis=1), "both bounds must be finite numbers"),
         (low > high, "the lower bound must come first"),
         (low < minimum, "factors are 0 or more"),
         (
             (low < allowed[0]) | (high > allowed[1]),
-            f"{by} allows {name} from {allowed[0]:g} to {allowed[1]:g} (unit: {PARAMETERS[name].unit})",
+            f"{by} allows {name} from {allowed[0]:g} to {allowed[1]:g} (unit: {unit})",
         ),
     ):
         if bad.any():

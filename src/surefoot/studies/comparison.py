@@ -30,7 +30,7 @@ from surefoot.evaluation.statistics import (
 from surefoot.files import atomic_write
 from surefoot.report.figures.learning import bin_curve, learning_curve
 from surefoot.studies.evaluations import EVALUATIONS, Result, ResultMetric, evaluation_names, find_gap, gap_from_result
-from surefoot.studies.study_config import StudyConfig
+from surefoot.studies.study_config import OTHERS, StudyConfig
 from surefoot.tables import plain_rows, write_csv
 
 FAR_DISTANCE = 3.0
@@ -120,23 +120,31 @@ class Comparison:
 
     def interval(self, group: str, metric: ResultMetric) -> Interval:
         """Return the mean of a metric over a group, with its interval over seeds and, if it has several, robots."""
-        values = self._values(group, metric)
-        if metric.trials:
-            return proportion_interval(values / metric.full_scale, metric.trials).scale(metric.full_scale)
+        values, trials = self._values(group, metric), self._trials(group, metric)
+        if trials:
+            full = metric.full_scale(trials)
+            return proportion_interval(values / full, trials).scale(full)
         return crossed_interval(values) if values.ndim == 2 else t_interval(values)
 
     def difference(self, group: str, base: str, metric: ResultMetric) -> Interval:
         """Return the difference of a metric's means, `group` minus `base`, with its interval."""
-        if metric.trials:
+        if self._trials(group, metric):
             return proportion_difference(self.interval(group, metric), self.interval(base, metric))
         values, others = self._values(group, metric), self._values(base, metric)
         return crossed_interval(values, others) if values.ndim == 2 else welch_interval(values, others)
 
     def _values(self, group: str, metric: ResultMetric) -> Array:
         """Return a metric of each policy of a group (P,), or of each of its runs (P, R)."""
-        kind = next(kind for kind in self.kinds if metric in EVALUATIONS[kind].metrics)
+        kind = self._kind(metric)
         read = EVALUATIONS[kind].read_runs
         return np.array([read(results[kind])[metric.name] for results in self.select_group(group).results])
+
+    def _trials(self, group: str, metric: ResultMetric) -> int:
+        return metric.count_trials(self.select_group(group).results.iloc[0][self._kind(metric)])
+
+    def _kind(self, metric: ResultMetric) -> str:
+        """Return the kind of evaluation that measures a metric."""
+        return next(kind for kind in self.kinds if metric in EVALUATIONS[kind].metrics)
 
     def sensitivities(self, group: str) -> list[Sensitivity]:
         """Return the sensitivity of each policy of a group."""
@@ -164,7 +172,7 @@ class Comparison:
     def sets(self) -> dict[str, list[str]]:
         """Return the groups of each set of bars, and all other groups as `others`; without sets, all as `groups`."""
         bars = {name: set(groups) for name, groups in self.study.bars.items()}
-        bars["others" if bars else "groups"] = set(self.groups).difference(*bars.values())
+        bars[OTHERS if bars else "groups"] = set(self.groups).difference(*bars.values())
         sets = {name: [group for group in self.groups if group in members] for name, members in bars.items()}
         return {name: groups for name, groups in sets.items() if groups}
 
@@ -222,11 +230,6 @@ def _differences(comparison: Comparison, metrics: Sequence[ResultMetric]) -> pd.
     ]
     table = pd.DataFrame(rows)
     return table.assign(p_holm=table.groupby("figure").p.transform(holm)) if rows else table
-
-
-def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
-    """Return the tables in a folder of `write_tables`, by name."""
-    return {name: pd.read_csv(folder / f"{name}.csv") for name in CONTENTS if (folder / f"{name}.csv").is_file()}
 
 
 def write_tables(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:

@@ -52,13 +52,17 @@ class ResultMetric:
     title: str
     unit: str
     digits: int
-    trials: int = 0
-    """Number of a policy's episodes, if the metric is a proportion of them; otherwise 0."""
+    trials: int | Callable[[Result], int] = 0
+    """Number of a policy's episodes if the metric is a proportion of them, or its computation from a result; otherwise
+    0."""
 
-    @property
-    def full_scale(self) -> float:
-        """Value of the metric for a proportion of 1."""
-        return 100.0 if self.unit == "%" else float(self.trials)
+    def count_trials(self, result: Result) -> int:
+        """Return the number of a policy's episodes in a result if the metric is a proportion of them; otherwise 0."""
+        return self.trials(result) if callable(self.trials) else self.trials
+
+    def full_scale(self, trials: int) -> float:
+        """Return the value of the metric for a proportion of 1 of `trials` episodes."""
+        return 100.0 if self.unit == "%" else float(trials)
 
     @property
     def heading(self) -> str:
@@ -165,9 +169,16 @@ def _name_gait(run: EvaluationRun) -> tuple[Result, Traces]:
 
 
 def load_gait_trace(policy: Path) -> EpisodeTrace:
-    """Return the episode that the evaluation `gait` stored for a policy file."""
-    world = EVALUATIONS["gait"].settings["world"]
-    return EpisodeTrace.load(next((_result_path(policy, "gait").with_suffix("") / world).glob("*.npz")))
+    """Return the episode that the evaluation `gait` stored for a policy file.
+
+    Raises:
+        SurefootError: its trace is missing.
+    """
+    result = _result_path(policy, "gait")
+    folder = result.with_suffix("") / EVALUATIONS["gait"].settings["world"]
+    if not (traces := sorted(folder.glob("*.npz"))):
+        raise SurefootError(f"{folder} has no trace (.npz); delete {result}, and the evaluation runs again")
+    return EpisodeTrace.load(traces[0])
 
 
 def gap_from_result(result: Result, name: str) -> PolicyGap:
@@ -183,6 +194,10 @@ def _read_runs(result: Result) -> tuple[float, float, float]:
 def _read_sensitivity(result: Result) -> tuple[float, ...]:
     sensitivity = Sensitivity.from_mapping(result, "")
     return sensitivity.mean, sensitivity.std, 100 * sensitivity.fall_rate
+
+
+def _count_test_runs(result: Result) -> int:
+    return len(Sensitivity.from_mapping(result, "").tests)
 
 
 def _read_gap(result: Result) -> tuple[ArrayLike, ...]:
@@ -244,7 +259,7 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         (
             ResultMetric("sensitivity_mean", "mean return over test worlds", "m", 2),
             ResultMetric("sensitivity_std", "standard deviation of return over test worlds", "m", 2),
-            ResultMetric("sensitivity_falls", "falls in test worlds", "%", 1, 400),
+            ResultMetric("sensitivity_falls", "falls in test worlds", "%", 1, _count_test_runs),
         ),
     ),
     "gap": _gap_kind("ensemble"),

@@ -32,6 +32,11 @@ class OtherMotors:
     label: str = "motors of another family"
     """Label in figures and tables."""
 
+    def __post_init__(self) -> None:
+        """Reject keys without a value."""
+        if empty := [name for name, value in self.actuator.items() if value is None]:
+            raise SurefootError(f"robots.other_motors.actuator.{empty[0]} has no value; give one, or leave it out")
+
 
 @dataclass(frozen=True)
 class HiddenRobots:

@@ -34,6 +34,21 @@ NO_RESULTS = "no results"
 """Reason that a comparison is left out because a group has no results yet."""
 
 
+def check_pairs(where: str, pairs: Sequence[tuple[str, str]]) -> None:
+    """Check that each pair has two groups and occurs once, in either order; each comparison counts in a correction.
+
+    Raises:
+        SurefootError: with the first pair for which it is not so.
+    """
+    seen: set[frozenset[str]] = set()
+    for pair in pairs:
+        if pair[0] == pair[1]:
+            raise SurefootError(f"{where}: '{pair[0]}' is compared with itself")
+        if frozenset(pair) in seen:
+            raise SurefootError(f"{where}: {pair[0]} and {pair[1]} are compared twice")
+        seen.add(frozenset(pair))
+
+
 @dataclass(frozen=True)
 class Question:
     """Question of a study about its groups."""
@@ -56,6 +71,9 @@ class Question:
             raise SurefootError(
                 f"question '{self.text}' must have either pairs of groups, or a group and the bound within"
             )
+        if self.group and self.expect:
+            raise SurefootError(f"question '{self.text}' has expect, which belongs to pairs of groups")
+        check_pairs(f"question '{self.text}'", self.pairs)
 
     @property
     def is_claim(self) -> bool:

@@ -46,6 +46,21 @@ def readme(title: str, command: str, parts: Iterable[str], files: Mapping[str, s
     return "\n\n".join(text) + "\n"
 
 
+def read_tables(folder: Path, names: Iterable[str]) -> dict[str, pd.DataFrame]:
+    """Return the tables NAME.csv that a folder has, by name; names of groups stay text, also `1` or `NA`."""
+    text = dict.fromkeys(("group", "against", "label", "question", "policy", "parameter", "part", "row"), "str")
+    return {
+        name: pd.read_csv(path, dtype=text, keep_default_na=False, na_values=[""])
+        for name in names
+        if (path := folder / f"{name}.csv").is_file()
+    }
+
+
+def p_text(value: float) -> str:
+    """Return a p value as a table cell."""
+    return "< 0.001" if value < 0.001 else decimal(value, 3)
+
+
 def image(caption: str, file: str) -> str:
     """Return the Markdown of an image in the report's folder."""
     return f"![{caption}]({file})"

@@ -219,7 +219,7 @@ def parameter_rows(study: StudyConfig, files: Mapping[int, ParamsFile], folder: 
     motors, rows = RobotDescription.load(study.hidden.robot).motor_names, []
     for seed, file in files.items():
         family, intervals = study.hidden.family(seed), file.tables.get("intervals", {})
-        truth = _observable(study.hidden.params(seed, folder))
+        truth = without_hidden_parts(study.hidden.params(seed, folder))
         for name in file.names:
             true, estimate = (np.atleast_1d(getattr(params, name)[0]) for params in (truth, file.params))
             bounds = np.asarray(intervals.get(name, np.full((len(true), 2), np.nan)), float)
@@ -238,12 +238,19 @@ def parameter_rows(study: StudyConfig, files: Mapping[int, ParamsFile], folder: 
     return rows
 
 
-def _observable(truth: PhysicalParams) -> PhysicalParams:
-    """Return true parameters with the sums that no experiment can separate."""
+def without_hidden_parts(truth: PhysicalParams) -> PhysicalParams:
+    """Return true parameters with the sums that no experiment can separate, as errors of the IMU and of the motors.
+
+    The same robot for an experiment: its IMU is mounted without roll and pitch, and its knees have no friction.
+    """
+    mount = truth.imu_mount.copy()
+    mount[:, :2] = 0.0
     return replace(
         truth,
         imu_bias=truth.imu_bias + truth.imu_mount[:, :2],
+        imu_mount=mount,
         motor_friction=truth.motor_friction + truth.knee_friction[:, None],
+        knee_friction=np.zeros_like(truth.knee_friction),
     )
 
 

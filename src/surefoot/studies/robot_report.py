@@ -15,7 +15,7 @@ from surefoot.report.figures.robots import GroupOnRobots, robots_figure
 from surefoot.report.figures.style import capitalize_first
 from surefoot.studies.hidden_robots import DATA_SHEET_MOTORS, OTHER_MOTORS, robot_name
 from surefoot.studies.questions import LEVEL, METRICS, NO_RESULTS, Answer, ComparedPair
-from surefoot.studies.report import image, readme
+from surefoot.studies.report import image, p_text, read_tables, readme
 from surefoot.studies.robot_comparison import ALL, CONTENTS, RobotComparison, robot_tables
 from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import markdown, with_unit, write_csv
@@ -67,7 +67,7 @@ def write_robot_report(
 
 def report_from_tables(study: StudyConfig, folder: Path, command: str) -> str:
     """Return the README.md of a study from the tables of its report; neither runs nor robots are needed."""
-    tables = {name: pd.read_csv(path) for name in CONTENTS if (path := folder / f"{name}.csv").is_file()}
+    tables = read_tables(folder, CONTENTS)
     tables["episodes"]["robot"] = tables["episodes"]["robot"].fillna("")
     comparison = RobotComparison(study, tables["episodes"])
     parts = [
@@ -138,7 +138,7 @@ def _claims(comparison: RobotComparison) -> list[str]:
     primary = comparison.study.primary_questions
     lines = [
         f"- {'**Primary.** ' if name in primary else ''}{capitalize_first(one.question.text)}: **{one.verdict}**"
-        + ("" if np.isnan(one.p) else f" (p {_p(one.p)})")
+        + ("" if np.isnan(one.p) else f" (p {p_text(one.p)})")
         for name, one in claims.items()
     ]
     out = [f"- {capitalize_first(reason)}." for reason in comparison.not_learned.values()]
@@ -163,14 +163,12 @@ def _answer(comparison: RobotComparison, one: Answer) -> list[str]:
         label = comparison.study.label
         cells = {"group": label(pair.group)} | ({"against": label(pair.against)} if pair.against else {})
         cells |= {with_unit(title, unit): pair.interval.text(digits, sign=True), "robots": str(pair.robots)}
-        cells |= {"p": _p(pair.p)}
-        return cells | ({"left out": pair.left_out or "-"} if one.question.is_claim else {"p, Holm": _p(pair.p_holm)})
+        cells |= {"p": p_text(pair.p)}
+        return cells | (
+            {"left out": pair.left_out or "-"} if one.question.is_claim else {"p, Holm": p_text(pair.p_holm)}
+        )
 
     return [f"{capitalize_first(one.question.text)}:", markdown([row(pair) for pair in one.comparisons])]
-
-
-def _p(value: float) -> str:
-    return "< 0.001" if value < 0.001 else decimal(value, 3)
 
 
 def _results(comparison: RobotComparison, family: str) -> list[str]:

@@ -135,9 +135,16 @@ def _best_rows(result: SearchResult, fields: Sequence[str]) -> list[dict[str, st
     complete = result.trials[result.trials.state == "complete"]
     return [
         {"trial": str(row["trial"]), "return (m)": decimal(row["return"]), "gait": row["pattern"] or "-"}
-        | {short_name(name): f"{x:.3g}" if isinstance(x := row[name], float) else str(x) for name in fields}
+        | {short_name(name): _setting(row[name]) for name in fields}
         for row in sort_trials(complete)[:_MAX_LISTED_TRIALS].to_dict("records")
     ]
+
+
+def _setting(value: Any) -> str:
+    """Return a setting as text; a column with missing values holds whole numbers as floats."""
+    if not isinstance(value, float):
+        return str(value)
+    return str(int(value)) if value.is_integer() else f"{value:.3g}"
 
 
 def _retest_row(result: SearchResult, trial: int, fresh: Interval, bias: Interval) -> dict[str, str]:

@@ -112,15 +112,21 @@ def check_space(space: Space, config: TrainConfig) -> None:
     names: set[str] = set()
     for name, dimension in space.items():
         for field in (name, *dimension.also):
-            if field in _RESERVED_FIELDS:
+            if any(_overlap(field, reserved) for reserved in _RESERVED_FIELDS):
                 raise SurefootError(
                     f"{field} is not searched: the search sets it itself, as it does {choices(_RESERVED_FIELDS)}"
                 )
-            if field in names:
-                raise SurefootError(f"{field} is listed twice; each field takes one entry")
+            if others := [other for other in names if _overlap(field, other)]:
+                what = "is listed twice" if others[0] == field else f"and {others[0]} set the same values"
+                raise SurefootError(f"{field} {what}; each field takes one entry")
             names.add(field)
         for value in dimension.samples:
             with_values(config, {name: dimension}, {name: value})
+
+
+def _overlap(one: str, other: str) -> bool:
+    """Return whether two dotted names are equal, or one is part of the other."""
+    return f"{one}.".startswith(f"{other}.") or f"{other}.".startswith(f"{one}.")
 
 
 def with_values(config: TrainConfig, space: Space, values: Mapping[str, Any]) -> TrainConfig:
@@ -193,7 +199,9 @@ def to_optuna_params(space: Space, config: TrainConfig) -> dict[str, Any]:
             inside = is_number(value) and dimension.low <= value <= dimension.high
             value = -value if inside and dimension.draws_magnitudes else value
         else:
-            inside, value = value in dimension.choices, json.dumps(value)
+            # The text of the choice, since 0.0 is the choice 0.
+            inside = value in dimension.choices
+            value = json.dumps(dimension.choices[dimension.choices.index(value)]) if inside else ""
         if inside:
             params[name] = value
     return params

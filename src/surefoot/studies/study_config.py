@@ -21,9 +21,12 @@ from surefoot.studies.hidden_robots import (
     robot_name,
     select_identified,
 )
-from surefoot.studies.questions import Question
+from surefoot.studies.questions import Question, check_pairs
 from surefoot.studies.training import Training, base_config
 from surefoot.task.config import preset_names
+
+OTHERS = "others"
+"""Name of the set of all groups that are in no set of bars."""
 
 
 @dataclass(frozen=True)
@@ -105,6 +108,9 @@ class StudyConfig:
         self._check_robots()
         for pair in self.compare:
             self._check_names("compare", pair)
+        check_pairs("compare", self.compare)
+        if OTHERS in self.bars:
+            raise SurefootError(f"bars.{OTHERS}: this name belongs to the groups that are in no set; take another one")
         findings = {f"findings[{number}]": finding.groups for number, finding in enumerate(self.findings)}
         for where, groups in ({f"bars.{name}": groups for name, groups in self.bars.items()} | findings).items():
             if not groups or len(set(groups)) < len(groups):

@@ -18,9 +18,9 @@ from surefoot.report.figures.learning import learning_curves
 from surefoot.report.figures.parameters import parameter_figure, parameters_figure
 from surefoot.report.figures.runs import footfall_diagram
 from surefoot.report.figures.style import capitalize_first
-from surefoot.studies.comparison import CONTENTS, FAR_DISTANCE, Comparison, read_tables, study_tables, write_tables
+from surefoot.studies.comparison import CONTENTS, FAR_DISTANCE, Comparison, study_tables, write_tables
 from surefoot.studies.evaluations import EVALUATIONS, ResultMetric, load_gait_trace
-from surefoot.studies.report import group_figure, image, readme, stride_cells
+from surefoot.studies.report import group_figure, image, p_text, read_tables, readme, stride_cells
 from surefoot.studies.study_config import StudyConfig
 from surefoot.tables import markdown
 
@@ -68,7 +68,7 @@ def write_report(comparison: Comparison, folder: Path, command: str) -> Path:
 
 def report_from_tables(study: StudyConfig, folder: Path, command: str) -> str:
     """Return the README.md of a study from the tables of its report; the runs are not needed."""
-    tables = read_tables(folder)
+    tables = read_tables(folder, CONTENTS)
     missing = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["missing"]
     return report_text(Comparison(study, tables["policies"], tuple(missing)), tables, command)
 
@@ -160,7 +160,11 @@ def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
         markdown(
             [
                 {"group": label(row.group), "against": label(row.against)}
-                | {metric.heading: _change(row, metric), "p": _p(row.p), f"p, Holm over {count}": _p(row.p_holm)}
+                | {
+                    metric.heading: _change(row, metric),
+                    "p": p_text(row.p),
+                    f"p, Holm over {count}": p_text(row.p_holm),
+                }
                 for row in rows.itertuples()
             ]
         ),
@@ -175,10 +179,6 @@ def _change(row: Any, metric: ResultMetric) -> str:
     interval = Interval(row.difference, row.difference_low, row.difference_high)
     text = interval.text(metric.digits, sign=True)
     return f"**{text}**" if row.p_holm < _LEVEL else text
-
-
-def _p(value: float) -> str:
-    return "< 0.001" if value < 0.001 else decimal(value, 3)
 
 
 def _differences(comparison: Comparison, table: pd.DataFrame, metrics: Sequence[ResultMetric]) -> list[str]:

@@ -11,15 +11,17 @@ pytest.importorskip("mujoco")
 
 from surefoot.errors import SurefootError
 from surefoot.identify.fitting import Fit
+from surefoot.identify.motion import start_search
 from surefoot.identify.motion.ambiguities import describe_ambiguities
 from surefoot.identify.motion.expected_accuracy import predict_accuracy
 from surefoot.identify.motion.priors import default_names, gains_are_commanded, robot_priors
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import replay_motion
+from surefoot.identify.motion.robot_estimates import robot_estimates
 from surefoot.identify.motion.robot_fit import fit_robot
 from surefoot.identify.motion.robot_unknowns import CLOCK, considered_unknowns, robot_params, robot_unknowns
 from surefoot.identify.replay import Replayer, segment_from_motion
-from surefoot.identify.result import Identification
+from surefoot.identify.result import Identification, ignore_progress
 from surefoot.identify.robot_params_file import check_new_logs, merge_estimates, read_gains
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params_file import ParamsFile
@@ -183,9 +185,41 @@ def test_computed_times_widen_the_intervals(go2: RobotDescription, nominal: Phys
     even = replace(hanging, time=0.01 * np.arange(401))
     assert not hanging.computed_clock
     assert even.computed_clock
-    names = [[u.name for u in considered_unknowns(go2, nominal, [motion])] for motion in (hanging, even)]
+    names = [[u.name for u in considered_unknowns(go2, nominal, [motion], [])] for motion in (hanging, even)]
     assert CLOCK not in names[0]
     assert CLOCK in names[1]
+
+
+def test_a_parameter_that_is_fitted_is_not_considered_as_well(
+    go2: RobotDescription, nominal: PhysicalParams, hanging: RecordedMotion
+):
+    unknowns = robot_unknowns(go2, nominal, ["presliding"], rack=True)
+    considered = considered_unknowns(go2, nominal, [hanging], unknowns)
+    assert [unknown.name for unknown in considered] == ["servo_latency"]
+    values, covariance = np.array([0.05, 0.002]), np.diag([1e-6, 1e-6])
+    fit = Fit((*unknowns, *considered), values, covariance, np.zeros(1), np.zeros((1, 2)), np.array([False, True]), 1)
+    params = robot_params(nominal, fit.unknowns, values[None])
+    np.testing.assert_array_equal(params.presliding, 0.05)
+    (estimate,) = robot_estimates(go2, nominal, params, fit)
+    assert (estimate.name, estimate.value, estimate.identifiable) == ("presliding", 0.05, True)
+
+
+def test_the_search_for_gains_scales_the_gains_of_all_kinds_of_joints(
+    go2: RobotDescription, hanging: RecordedMotion, monkeypatch: pytest.MonkeyPatch
+):
+    prior = PhysicalParams.nominal(go2).with_values(go2, servo_kp=[20.0, 20.0, 30.0] * 4)
+    unknowns = robot_unknowns(go2, prior, ["servo_kp", "servo_kd"], rack=True)
+    prior.servo_kd[:] = 1.0
+    assert [(one.name, len(one.motors)) for one in unknowns] == [("servo_kp", 4)] * 3 + [("servo_kd", 0)]
+
+    class Model:
+        def residuals(self, candidates: np.ndarray) -> np.ndarray:
+            return candidates - [40.0, 40.0, 60.0, 40.0 * 0.02]
+
+    monkeypatch.setattr(start_search, "robot_model", lambda *_: Model())
+    start = start_search.find_gains(go2, [hanging], unknowns, prior, ignore_progress)
+    # Of the grid's damping times 13.2 ms gives 0.62 N m s/rad, nearer to 0.8 than 21.4 ms, which gives 1.0.
+    assert start == pytest.approx([40, 40, 60, 0.005 * 2**1.4 * (40 + 40 + 60) / 3])
 
 
 def test_the_predicted_accuracy_is_the_accuracy_of_a_fit(
@@ -221,7 +255,7 @@ def test_inseparable_parameters_are_named_with_their_sum(go2: RobotDescription, 
     covariance = 0.09 * np.outer(direction, direction) + np.diag([1e-4, 0, 0, 0])
     fit = Fit(unknowns, values, covariance, np.zeros(1), np.zeros((1, 4)))
     params = robot_params(nominal, unknowns, values[None])
-    (text,) = describe_ambiguities(go2, fit, params)
+    (text,) = describe_ambiguities(fit, nominal, params)
     assert text.startswith(
         "these logs do not separate servo_kd and motor_viscous_friction: their sum is 1.7 (1.68 to 1.72) N m s/rad"
     )
@@ -230,10 +264,10 @@ def test_inseparable_parameters_are_named_with_their_sum(go2: RobotDescription, 
     values, covariance = np.array([u.start for u in unknowns]), np.diag([1e-4] * 4)
     apart = Fit(unknowns, values, covariance, np.zeros(1), np.zeros((1, 4)))
     params = robot_params(nominal, unknowns, values[None])
-    assert describe_ambiguities(go2, apart, params) == ()
+    assert describe_ambiguities(apart, nominal, params) == ()
     exchanged = covariance - 0.99e-4 * np.outer([1, 1, 1, 0], [0, 0, 0, 1]) * np.sqrt(1 / 3)
     exchanged[3] = exchanged[:, 3]
-    (text,) = describe_ambiguities(go2, replace(apart, covariance=exchanged), params)
+    (text,) = describe_ambiguities(replace(apart, covariance=exchanged), nominal, params)
     assert text.startswith(
         "rotor_inertia and control_latency are hardly distinguishable from these logs (correlation -0.99)"
     )

@@ -82,6 +82,13 @@ def test_a_log_of_states_needs_no_commands(tmp_path: Path, pupper: RobotDescript
     (tmp_path / "m.yaml").write_text("\n".join(["time: {column: t}", "motors:", *lines]))
     with pytest.raises(SurefootError, match=r"motors.rightFrontLegMotor has neither command nor angle"):
         import_log(tmp_path / "log.npz", pupper, tmp_path / "m.yaml")
+    lines = [f"  {name}: {{command: 'q[{k}]', angle: 'q[{k}]'}}" for k, name in enumerate(pupper.motor_names)]
+    (tmp_path / "m.yaml").write_text("\n".join(["time: {column: t}", "motors:", *lines]))
+    with pytest.raises(SurefootError, match=r"motors.\w+: command and angle are both 'q\[\d+\]'"):
+        import_log(tmp_path / "log.npz", pupper, tmp_path / "m.yaml")
+    np.savez(tmp_path / "one.npz", time=[0.0], command=angles[:1])
+    with pytest.raises(SurefootError, match="has 1 rows; a log has 2 or more"):
+        import_log(tmp_path / "one.npz", pupper)
 
 
 class Hostile:
@@ -251,6 +258,6 @@ def test_import_rejects_a_missing_or_broken_clock(tmp_path: Path, pupper: RobotD
     np.savez(tmp_path / "log.npz", time=np.array([0.0, np.nan, 0.02]), command=np.zeros((3, 12)))
     with pytest.raises(SurefootError, match="time is not finite in row 1"):
         import_log(tmp_path / "log.npz", pupper)
-    which = mapping(tmp_path / "m.yaml", pupper, "command[{}]", "command[{}]")
+    which = mapping(tmp_path / "m.yaml", pupper, "command[{}]", "motor_angle[{}]")
     with pytest.raises(SurefootError, match="has no time stamps of its own"):
         import_log(tmp_path / "log.npz", pupper, which)

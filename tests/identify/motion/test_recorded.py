@@ -53,6 +53,17 @@ def moved(**channels: np.ndarray) -> RecordedMotion:
     return RecordedMotion("log", rows["time"], rows["command"], **channels)
 
 
+def test_a_log_that_is_still_at_first_is_named_and_cut_before_its_first_motion():
+    time = 0.1 * np.arange(101)
+    command = np.where(time > 5.05, 0.5, 0.0)[:, None]
+    log = RecordedMotion("late.npz", time, command)
+    with pytest.raises(SurefootError, match=r"log late\.npz, first 3 s: no command moves a joint by more than 0\.02"):
+        log.first_seconds(3.0)
+    moving = log.from_first_motion()
+    assert moving.time[0] == pytest.approx(4.8)  # 0.3 s before the motion
+    assert moving.first_seconds(3.0).moving_joints.tolist() == [True]
+
+
 def test_channels_that_were_not_recorded_are_missing():
     motion = moved(motor_angle=np.ones((51, 12)))
     assert motion.missing() == ["motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base"]

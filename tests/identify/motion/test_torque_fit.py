@@ -17,6 +17,7 @@ from surefoot.identify.motion import torque_fit
 from surefoot.identify.motion.torque_model import DEFAULT_NAMES, NAMES, VOLTAGE_CHANGE, torque_observations
 from surefoot.identify.motion.torque_rows import MotorMotion, TorqueRows, torque_timings, usable_rows
 from surefoot.identify.motion.traces import deployed_motion
+from surefoot.identify.motion.walking_mass import walking_mass
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.task.trace import EpisodeTrace
@@ -301,6 +302,16 @@ def test_a_walk_identifies_the_mass_of_the_base() -> None:
     single = fit_torques(ROBOT, [walk], ("base_mass_ratio",), hidden)
     assert single.identified_names() == ("base_mass_ratio",)
     assert single.estimate("base_mass_ratio").value == pytest.approx(ratio, rel=0.04)
+
+
+def test_a_walk_with_a_gap_has_an_interval_of_its_mass() -> None:
+    walk, step = record(HIDDEN, 6.0, trotting, rack=False), float(HIDDEN.control_step[0])
+    gap = deployed_motion("gap", cut(walk, slice(0, round(3.0 / step)), slice(round(4.2 / step), None)))
+    bounds = {name: (float(getattr(HIDDEN, name)[0]),) * 2 for name in torque_fit.LATENCIES}
+    segments = torque_fit.make_segments(ROBOT, [gap], bounds, 0)
+    total, ratio, deviation = walking_mass(ROBOT, segments, HIDDEN)
+    assert ratio == pytest.approx(1.0, abs=0.1)
+    assert 0 < deviation < 0.1 < total
 
 
 def test_mass_needs_long_walks_on_the_ground() -> None:

@@ -28,7 +28,7 @@ from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan
 from surefoot.identify.recording import Recording
 from surefoot.robot import RobotDescription
-from surefoot.robot.params import parse_settings
+from surefoot.robot.params import GAINS, parse_settings
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,7 +70,7 @@ class ExperimentCommand(LinkOptions):
         """
         stated = parse_settings([word for group in self.settings for word in group])
         for name in stated:
-            if name not in ("servo_kp", "servo_kd"):
+            if name not in GAINS:
                 raise SurefootError(f"--set names {name}; it must be servo_kp or servo_kd")
         if stated and self.link == "serial":
             raise SurefootError("--set requires --link dds; a robot on a serial port stores its gains on its board")

@@ -224,6 +224,8 @@ def _friction(
 def _dragged_legs(robot: RobotDescription, standing: GroundMotion) -> NDArray[np.bool_]:
     """Return a mask (T, L) of the dragged legs: one diagonal in the first phase "drag", the other in the second."""
     phases = [k for k, name in enumerate(standing.names) if name == "drag"]
+    if not phases:
+        raise SurefootError("the recording has no phase 'drag'; it is not of the experiment contact")
     diagonal = np.where(standing.phase == phases[0], 1.0, np.where(standing.phase == phases[-1], -1.0, 0.0))
     return np.asarray(diagonal[:, None] == fore_aft_signs(robot) * lateral_signs(robot))
 

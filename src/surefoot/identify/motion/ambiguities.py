@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit
 from surefoot.identify.motion.priors import CLOCK, COMMAND_SHIFT
 from surefoot.identify.motion.robot_estimates import MODEL_ACCURACY, parameter_slopes
-from surefoot.identify.motion.robot_unknowns import CONSIDERED
 from surefoot.identify.result import NORMAL_95
-from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot import PhysicalParams
 
 MIN_CORRELATION = 0.7
 """Correlation of the errors of two parameters above which they count as not separable."""
@@ -59,15 +57,15 @@ AMBIGUITIES = (
 )
 
 
-def describe_ambiguities(robot: RobotDescription, fit: Fit, params: PhysicalParams) -> tuple[str, ...]:
+def describe_ambiguities(fit: Fit, prior: PhysicalParams, params: PhysicalParams) -> tuple[str, ...]:
     """Return sentences on what the fitted logs do not determine.
 
     Args:
-        robot: robot description.
         fit: result of `fitting.hold_unidentifiable`.
+        prior: parameters before the fit, one row.
         params: parameters after the fit, one row.
     """
-    sentences = [text for pair in AMBIGUITIES if (text := _describe_ambiguity(pair, fit, params))]
+    sentences = [text for pair in AMBIGUITIES if (text := _describe_ambiguity(pair, fit, prior, params))]
     if held := _held_labels(fit):
         sentences.append(f"these logs do not determine {', '.join(held)}: prior values are kept and not written")
     if any(unknown.name == CLOCK for unknown in fit.unknowns):
@@ -83,14 +81,14 @@ def describe_ambiguities(robot: RobotDescription, fit: Fit, params: PhysicalPara
     return tuple(sentences)
 
 
-def _describe_ambiguity(pair: _Ambiguity, fit: Fit, params: PhysicalParams) -> str:
+def _describe_ambiguity(pair: _Ambiguity, fit: Fit, prior: PhysicalParams, params: PhysicalParams) -> str:
     """Return a sentence on a pair of parameters that can't be separated; empty if it can be, or was not fitted."""
     free = [
         any(u.name == name and fitted for u, fitted in zip(fit.unknowns, fit.free, strict=True)) for name in pair.names
     ]
     if not any(free) or not set(pair.names) <= {unknown.name for unknown in fit.unknowns}:
         return ""
-    slopes = [_mean_slope(params, fit, name) for name in pair.names]
+    slopes = [parameter_slopes(prior, fit, name).mean(axis=1) for name in pair.names]
     one, two = (float(np.mean(getattr(params, name)[0])) for name in pair.names)
     (a, shared), (_, b) = ([float(first @ fit.covariance @ second) for second in slopes] for first in slopes)
     correlation = shared / np.sqrt(max(a * b, 1e-300))
@@ -105,7 +103,7 @@ def _describe_ambiguity(pair: _Ambiguity, fit: Fit, params: PhysicalParams) -> s
     else:
         value = one ** pair.powers[0] * two ** pair.powers[1]
         slope = value * (pair.powers[0] * slopes[0] / one + pair.powers[1] * slopes[1] / two)
-    floor = MODEL_ACCURACY[pair.names[0]] * value if fit.has_considered else 0.0
+    floor = MODEL_ACCURACY[pair.names[0]] * value if fit.considered else 0.0
     half_width = NORMAL_95 * float(np.sqrt(slope @ fit.covariance @ slope + floor**2))
     return (
         f"these logs do not separate {subject}: {pair.combination} is {value:.3g} ({value - half_width:.3g} to "
@@ -113,14 +111,10 @@ def _describe_ambiguity(pair: _Ambiguity, fit: Fit, params: PhysicalParams) -> s
     )
 
 
-def _mean_slope(params: PhysicalParams, fit: Fit, name: str) -> Array:
-    return np.asarray(parameter_slopes(params, fit, name).mean(axis=1))
-
-
 def _held_labels(fit: Fit) -> list[str]:
     """Return the labels of held unknowns; a name that is held for several motors appears once, with their number."""
     by_name: dict[str, list[str]] = {}
-    for unknown, free in zip(fit.unknowns, fit.free.tolist(), strict=True):
-        if not free and unknown.name not in (CLOCK, COMMAND_SHIFT, *(CONSIDERED if fit.has_considered else ())):
+    for unknown, free in zip(fit.candidates, fit.free.tolist()[: len(fit.candidates)], strict=True):
+        if not free:
             by_name.setdefault(unknown.name, []).append(unknown.label)
     return [labels[0] if len(labels) == 1 else f"{name} (of {len(labels)})" for name, labels in by_name.items()]

@@ -51,7 +51,7 @@ def predict_accuracy(
     names = drop_known(default_names(robot, True), known)
     unknowns = robot_unknowns(robot, prior, names, True)
     logs = [_simulate_readings(robot, motion, prior) for motion in motions]
-    considered = considered_unknowns(robot, prior, logs)
+    considered = considered_unknowns(robot, prior, logs, unknowns)
     all_unknowns = (*unknowns, *considered)
     model = robot_model(robot, logs, all_unknowns, prior, None, [EXPECTED_NOISE] * len(logs))
     values = np.array([unknown.start for unknown in all_unknowns])
@@ -61,10 +61,10 @@ def predict_accuracy(
     covariance = np.asarray(np.linalg.inv(jacobian.T @ jacobian + np.diag(deviation**-2.0)), np.float64)
     held = np.zeros(len(values), np.bool_)
     held[len(unknowns) :] = True
-    fit = Fit(all_unknowns, values, covariance, residuals, jacobian, held, True)
+    fit = Fit(all_unknowns, values, covariance, residuals, jacobian, held, len(considered))
     held[: len(unknowns)] = ~fit.identifiable[: len(unknowns)]
     fit = replace(fit, held=held)
-    return ExpectedAccuracy(tuple(robot_estimates(robot, prior, prior, fit)), describe_ambiguities(robot, fit, prior))
+    return ExpectedAccuracy(tuple(robot_estimates(robot, prior, prior, fit)), describe_ambiguities(fit, prior, prior))
 
 
 def planned_motion(plan: Plan) -> RecordedMotion:

@@ -45,8 +45,9 @@ def diagnose_fit(robot: RobotDescription, motions: Sequence[RecordedMotion], par
         baseline = following_error(motion)
         fit_errors.append(error)
         baseline_errors.append(baseline)
-        if worst is None or error / baseline > worst[1]:
-            worst = motion, error / baseline
+        ratio = error / max(baseline, 1e-12)
+        if worst is None or ratio > worst[1]:
+            worst = motion, ratio
     error, baseline = (float(np.sqrt(np.mean(np.square(values)))) for values in (fit_errors, baseline_errors))
     if worst is None or not np.isfinite(error) or error < max(MAX_ERROR_RATIO * baseline, SMALL_ERROR):
         return ()

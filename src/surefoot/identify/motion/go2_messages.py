@@ -36,6 +36,7 @@ from surefoot.files import check_readable
 from surefoot.identify.motion.column_table import FILE_BYTES, ColumnTable, is_bag, open_bag, read_csv
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.robot import RobotDescription
+from surefoot.robot.params import GAINS
 from surefoot.rotations import quat_rpy
 
 MAX_MESSAGES = 1_000_000
@@ -222,7 +223,7 @@ def _motion(rows: NDArray[Any], damaged: int, name: str) -> RecordedMotion:
         _nan_if_not_finite(rows["state"]["tau_est"]),
         np.array([quat_rpy(*one) for one in quaternion.tolist()]),
         _nan_if_not_finite(rows["gyroscope"]),
-        gains={} if gains is None else dict(zip(("servo_kp", "servo_kd"), map(tuple, gains.tolist()), strict=True)),
+        gains={} if gains is None else dict(zip(GAINS, map(tuple, gains.tolist()), strict=True)),
         meta={"notes": notes},
     )
 

@@ -130,9 +130,11 @@ def _check_commands(columns: LogMapping) -> None:
             f"motors.{without[0]} has no command, but other motors have one; add it, or leave out command for all "
             "motors if this is a log of states"
         )
-    for name in without:
-        if columns.motors[name].angle is None:
+    for name, motor in columns.motors.items():
+        if motor.command is None and motor.angle is None:
             raise SurefootError(f"motors.{name} has neither command nor angle; it needs at least one")
+        if motor.command == motor.angle:
+            raise SurefootError(f"motors.{name}: command and angle are both '{motor.command}'; they are two columns")
 
 
 def _motion(
@@ -158,6 +160,8 @@ def _motion(
         return np.stack([column(getattr(columns.imu, key), default) * factor for key in keys], axis=1)
 
     time = table.time if columns.time is None else column(columns.time.column) * TIME_UNITS[columns.time.unit]
+    if table.rows < 2:
+        raise SurefootError(f"has {table.rows} rows; a log has 2 or more")
     if time is None:
         raise SurefootError("has no time stamps of its own; the mapping must name the column of time")
     if not np.isfinite(time).all():

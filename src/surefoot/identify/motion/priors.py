@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 from surefoot.errors import SurefootError, suggest
 from surefoot.robot import GRAVITY, RobotDescription
+from surefoot.robot.params import GAINS
 
 DAMPING_RATIO = "damping_ratio"
 """Ratio of servo_kd to servo_kp [s], which determines how far a joint lags behind its command."""
@@ -29,7 +30,6 @@ RATIOS = {
     "inertia_ratio": "rotor_inertia",
 }
 """Ratios of a single motor to the value of its kind of joint, and the parameter that each multiplies."""
-GAINS = ("servo_kp", "servo_kd")
 STRICTLY_POSITIVE = (
     "servo_kp",
     "leg_mass_ratio",

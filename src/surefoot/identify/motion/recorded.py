@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
-from surefoot.errors import SurefootError
+from surefoot.errors import SurefootError, prefix_errors
 from surefoot.robot.params_file import ParamValue
 
 MIN_MOTION = 0.02
@@ -157,7 +157,13 @@ class RecordedMotion:
         Raises:
             SurefootError: these rows can't be replayed.
         """
-        return self.rows(self.time <= self.time[0] + seconds).require_replayable()
+        with prefix_errors(f"log {self.name}, first {seconds:g} s"):
+            return self.rows(self.time <= self.time[0] + seconds).require_replayable()
+
+    def from_first_motion(self) -> RecordedMotion:
+        """Return the rows from shortly before the commands begin to move, by `SKIPPED_TIME`."""
+        moved = np.abs(self.command - self.command[0]).max(axis=1) > MIN_MOTION
+        return self.rows(self.time >= self.time[np.argmax(moved)] - SKIPPED_TIME)
 
     def rows(self, rows: NDArray[np.bool_] | slice) -> RecordedMotion:
         """Return the selected rows."""

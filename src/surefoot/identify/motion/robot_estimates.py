@@ -12,10 +12,11 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.identify.fitting import Fit
-from surefoot.identify.motion.priors import DAMPING_RATIO, GAINS, RATIOS, gains_are_commanded
-from surefoot.identify.motion.robot_unknowns import CONSIDERED, robot_params
+from surefoot.identify.motion.priors import DAMPING_RATIO, RATIOS, gains_are_commanded
+from surefoot.identify.motion.robot_unknowns import robot_params
 from surefoot.identify.result import ParameterEstimate
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import GAINS
 
 MODEL_ACCURACY = {
     "motor_friction": 0.25,
@@ -60,7 +61,7 @@ def robot_estimates(
         indices: Sequence[int | None] = [None] if len(values) == 1 or same else range(_count(name, values))
         for index in indices:
             number, deviation = float(values[index or 0]), float(np.sqrt(variances[index or 0]))
-            if fit.has_considered:
+            if fit.considered:
                 size = max(abs(number), abs(float(np.atleast_1d(getattr(prior, name)[0])[index or 0])))
                 size = abs(number) if name in GAINS else size
                 floor = MODEL_ACCURACY.get(name, 0.0) * size
@@ -81,7 +82,7 @@ def _count(name: str, values: Array) -> int:
 
 def _affected_parameters(fit: Fit) -> list[str]:
     """Return the names of the physical parameters that depend on the unknowns, in the order of `PhysicalParams`."""
-    names = {RATIOS.get(unknown.name, unknown.name) for unknown in fit.unknowns} - set(CONSIDERED)
+    names = {RATIOS.get(unknown.name, unknown.name) for unknown in fit.candidates}
     if DAMPING_RATIO in names:
         names |= {"servo_kd"}
     return [name for name in PhysicalParams.names() if name in names]

@@ -20,7 +20,7 @@ from surefoot.identify.model import ReplayModel
 from surefoot.identify.motion.ambiguities import describe_ambiguities
 from surefoot.identify.motion.fit_diagnosis import diagnose_fit
 from surefoot.identify.motion.motion_digest import all_digest, motion_digest
-from surefoot.identify.motion.priors import GAINS, default_names, drop_known, gains_are_commanded
+from surefoot.identify.motion.priors import default_names, drop_known, gains_are_commanded
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.replay_errors import imu_channels, replay_motion
 from surefoot.identify.motion.robot_estimates import robot_estimates
@@ -30,6 +30,7 @@ from surefoot.identify.motion.start_search import find_gains, search_start
 from surefoot.identify.replay import Replayer, segment_from_motion
 from surefoot.identify.result import Check, FitProgress, Identification, ParameterEstimate, Series, ignore_progress
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import GAINS
 
 IMU_YAW_CANDIDATES = (0.0, np.pi / 2, np.pi, -np.pi / 2)
 """Candidates for the yaw of the IMU in the base frame [rad]."""
@@ -90,19 +91,18 @@ def fit_robot(
     if yaw is not None:
         estimates.append(ParameterEstimate.within_bounds(robot, "imu_mount", yaw, _MOUNT_DEVIATION, 2))
     checks, series = _checks(robot, [*motions, *held_out], len(motions), prior, params, seconds)
-    stated = {name: np.unique(getattr(prior, name)[0]).tolist() for name in GAINS if name in known}
     log_digests = {one.name: motion_digest(one) for one in [*motions, *held_out]}
     return Identification(
         "logs",
         robot.name,
         tuple(estimates),
         checks,
-        notes=(*describe_ambiguities(robot, fit, params), *_notes(fit)),
+        notes=(*describe_ambiguities(fit, prior, params), *_notes(fit)),
         series=series,
         digest=all_digest([*motions, *held_out]),
         log_digests=log_digests,
         gains=_gains(params, [*wanted, *known]) if gains_are_commanded(robot) else {},
-        stated_gains=tuple(stated),
+        stated_gains=tuple(name for name in GAINS if name in known),
         failure=diagnose_fit(robot, [fitted_part(one, seconds) for one in motions], params),
     )
 
@@ -131,7 +131,7 @@ def _fit(
         # Narrow priors in the data sheet constrain what such logs do not determine; holding these parameters as well
         # made held-out errors larger.
         return fit if robot.priors else hold_unidentifiable(model, fit)
-    considered = considered_unknowns(robot, prior, motions)
+    considered = considered_unknowns(robot, prior, motions, unknowns)
     noise = [FIRST_NOISE] * len(motions)
     start = find_gains(robot, motions, unknowns, prior, report)
     for number in range(MAX_ROUNDS):
@@ -194,7 +194,7 @@ def _checks(
         what = f"{motion.name}, " + (f"fitted: {used:.1f} of {whole:.1f} s" if number < fitted else "held out")
         checks.append(Check(what, before.rms, after.rms, "rad", fitted=number < fitted))
         motor = int(np.argmax(np.where(motion.moving_joints, after.by_motor, -1.0)))
-        plotted = motion.first_seconds(_PLOT_TIME)
+        plotted = motion.rows(motion.time <= motion.time[0] + _PLOT_TIME)
         rows, angles = slice(0, len(plotted.time)), plotted.motor_angle[:, motor]
         prior_curve, fitted_curve = (angles + one.motor_angle[rows, motor] for one in (before, after))
         labels = f"{robot.motor_names[motor]}, {what}", "time [s]", "angle [rad]"

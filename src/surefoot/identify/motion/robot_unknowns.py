@@ -35,8 +35,8 @@ RACK_STEP = 0.01
 """Steps of finite differences on a rack, relative to steps on the ground, where contacts are not smooth. Gains, masses
 and friction can all grow in proportion, and only accurate derivatives show that a log does not determine this scale."""
 CONSIDERED = {"servo_latency": 0.001, "presliding": 0.002}
-"""Standard deviations of parameters that are not fitted: data sheets only assume the latency of the servos [s], and
-presliding [rad] represents friction models that differ at motion reversals."""
+"""Standard deviations of parameters that are not fitted by default: data sheets only assume the latency of the servos
+[s], and presliding [rad] represents friction models that differ at motion reversals."""
 CLOCK_DEVIATION = 0.02
 """Standard deviation of the scale of a clock whose times look computed."""
 
@@ -163,14 +163,15 @@ def robot_params(base: PhysicalParams, unknowns: Sequence[Unknown], values: Arra
 
 
 def considered_unknowns(
-    robot: RobotDescription, prior: PhysicalParams, motions: Sequence[RecordedMotion]
+    robot: RobotDescription, prior: PhysicalParams, motions: Sequence[RecordedMotion], fitted: Sequence[Unknown]
 ) -> list[Unknown]:
     """Return the considered parameters: they are not fitted, but their prior uncertainty widens all intervals.
 
-    They are the latency of the servos, friction at motion reversals, the clock of logs whose times look computed, and
-    the delay of repeated commands.
+    They are the latency of the servos and friction at motion reversals unless they are among the fitted unknowns, the
+    clock of logs whose times look computed, and the delay of repeated commands.
     """
-    deviations = dict(CONSIDERED)
+    names = {unknown.name for unknown in fitted}
+    deviations = {name: deviation for name, deviation in CONSIDERED.items() if name not in names}
     if any(motion.computed_clock for motion in motions):
         deviations[CLOCK] = CLOCK_DEVIATION
     unknowns = []

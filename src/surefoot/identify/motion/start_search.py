@@ -9,11 +9,11 @@ import numpy as np
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.model import ReplayModel, Unknown
-from surefoot.identify.motion.priors import GAINS
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.motion.robot_model import robot_model
 from surefoot.identify.result import FitProgress
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import GAINS
 
 GAIN_FACTORS = 2.0 ** np.arange(-3.0, 3.01, 0.5)
 """Grid of proportional gains, relative to the prior."""
@@ -38,19 +38,27 @@ def find_gains(
     Returns:
         Start values (n,) of the unknowns with the best gains, or None if the gains are not both unknown.
     """
-    column = {unknown.name: k for k, unknown in enumerate(unknowns)}
-    if any(name not in column for name in GAINS):
+    stiffness, damping = ([k for k, one in enumerate(unknowns) if one.name == name] for name in GAINS)
+    if not stiffness or not damping:
         return None
     report("searching for gains", float("nan"))
-    short = [one.first_seconds(min(GAIN_SECONDS, float(np.ptp(one.time)))) for one in motions]
+    moving = [one.from_first_motion() for one in motions]
+    short = [one.first_seconds(min(GAIN_SECONDS, float(np.ptp(one.time)))) for one in moving]
     model = robot_model(robot, short, unknowns, prior, GAIN_SECONDS, [GAIN_NOISE] * len(short))
-    kp, damping = (grid.ravel() for grid in np.meshgrid(GAIN_FACTORS, DAMPING_TIMES))
-    candidates = np.tile([unknown.start for unknown in unknowns], (len(kp), 1))
-    candidates[:, column["servo_kp"]] *= kp
-    candidates[:, column["servo_kd"]] = candidates[:, column["servo_kp"]] * damping
+    factors, times = (grid.ravel() for grid in np.meshgrid(GAIN_FACTORS, DAMPING_TIMES))
+    candidates = np.tile([unknown.start for unknown in unknowns], (len(factors), 1))
+    candidates[:, stiffness] *= factors[:, None]
+    for kd in damping:
+        same = [kp for kp in stiffness if _share_motors(unknowns[kp], unknowns[kd])]
+        candidates[:, kd] = candidates[:, same].mean(axis=1) * times
     low, high = (np.array([getattr(unknown, end) for unknown in unknowns]) for end in ("low", "high"))
     candidates = np.clip(candidates, low, high)
     return np.asarray(candidates[int(np.argmin(np.sum(model.residuals(candidates) ** 2, axis=1)))])
+
+
+def _share_motors(one: Unknown, other: Unknown) -> bool:
+    """Return whether two unknowns have a motor in common; unknowns without motors belong to all."""
+    return not one.motors or not other.motors or not set(one.motors).isdisjoint(other.motors)
 
 
 def search_start(model: ReplayModel, generations: int, seed: int, report: FitProgress) -> Array:

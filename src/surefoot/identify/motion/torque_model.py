@@ -16,14 +16,15 @@ from surefoot.arrays import Array
 from surefoot.identify.model import GAIN_DEVIATION, TORQUE_GAIN, Nuisance, Observations, Unknown
 from surefoot.identify.motion.torque_rows import TorqueRows, subsample
 from surefoot.robot import PhysicalParams, RobotDescription
+from surefoot.robot.params import GAINS
 
 MASS = "base_mass_ratio"
 NAMES = (
     *("motor_strength", "torque_constant", "resistance", "voltage"),
-    *("servo_kp", "servo_kd", "servo_latency", "control_latency", MASS),
+    *(*GAINS, "servo_latency", "control_latency", MASS),
 )
 """Physical parameters that traces can identify."""
-DEFAULT_NAMES = tuple(name for name in NAMES if name not in ("servo_kp", "servo_kd", MASS))
+DEFAULT_NAMES = tuple(name for name in NAMES if name not in (*GAINS, MASS))
 """Parameters that are identified by default. Gains are set in the firmware, and unless duties are often at their limit,
 traces determine only gains times U / R. The mass of the base needs legs of known mass."""
 LATENCIES = ("control_latency", "servo_latency")

@@ -63,7 +63,7 @@ def walking_mass(
         weight = np.sin(np.pi * (np.arange(len(times)) + 0.5) / len(times)) ** 2
         means.append(float(np.average(vertical, weights=weight)))
         blocks = ((times - times[0]) / FORCE_BLOCK).astype(np.int64)
-        inside = [np.mean(vertical[blocks == k]) for k in range(int(blocks[-1]))]
+        inside = [np.mean(vertical[blocks == k]) for k in np.unique(blocks)[:-1]]  # the last one is cut off
         spreads.append(float(np.std(inside, ddof=1) / np.sqrt(len(inside))))
         lengths.append(float(times[-1] - times[0]))
     weights = np.array(lengths) / np.sum(lengths)
@@ -84,7 +84,7 @@ def _steady_part(segment: TorqueRows) -> TorqueRows | None:
     fallen = np.flatnonzero(np.abs(segment.motion.roll_pitch_yaw[:, :2]).max(axis=1) > MAX_TILT)
     end = fallen[0] if len(fallen) else len(time)
     rows = segment.rows[(time[segment.rows] > WALK_START) & (segment.rows < end)]
-    length = float(np.ptp(time[rows])) if len(rows) else 0.0
+    length = float(np.minimum(np.diff(time[rows]), FORCE_BLOCK).sum())  # gaps are no walk
     return replace(segment, rows=rows) if length >= MIN_WALK else None
 
 

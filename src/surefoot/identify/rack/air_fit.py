@@ -37,7 +37,7 @@ def motion_from_phases(recording: Recording, use: str) -> RecordedMotion:
     Each row is a state, with the command in effect and the servo step in which it began to act. The control latency
     includes the lead, the time from sending a state to its use.
     """
-    phases = recording.phases(use)
+    phases = recording.require_phases(use)
     states = np.arange(recording.phase_states(phases[0]).start, recording.phase_states(phases[-1]).stop)
     # Arrival times that no state reports are estimates, and may be out of order.
     arrival = np.maximum.accumulate(recording.arrival)

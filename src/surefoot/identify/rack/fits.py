@@ -143,7 +143,7 @@ def _limit_notes(estimates: Sequence[ParameterEstimate], params: PhysicalParams,
 
 
 def _segment(recording: Recording, use: str) -> Segment:
-    phases = recording.phases(use)
+    phases = recording.require_phases(use)
     return segment_from_recording(recording, phases[0], phases[-1])
 
 

@@ -258,9 +258,7 @@ def start_with_limit(
     motors = moving_legs(robot, recording)
     resistances = prior.resistance[0] * _RESISTANCES
     values, with_limit, without = dict[str, Array](), np.inf, np.inf
-    readings = [
-        pwm_readings(robot, recording, segment, motors, max(latency + error, 0.0)) for error in _LATENCY_ERRORS
-    ]
+    readings = [pwm_readings(robot, recording, segment, motors, max(latency + error, 0.0)) for error in _LATENCY_ERRORS]
     constants = prior.torque_constant[0] * np.array(_CONSTANTS)
     for (states, duty, speed, voltage), constant in itertools.product(readings, constants):
         net = duty * voltage - constant * speed
@@ -304,7 +302,7 @@ def pwm_readings(
         voltage [V] (T, 1).
     """
     index = np.searchsorted(segment.command_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
-    driven = segment.kind[index] == Mode.PWM
+    driven = (index >= 0) & (segment.kind[index] == Mode.PWM)
     states = segment.states[driven]
     # The speeds of a state are older than its torques by the control latency.
     speed = interpolate_columns(recording.time[states] + latency, recording.time, recording.motor_velocity[:, motors])
