@@ -212,6 +212,28 @@ def test_a_fall_damps_at_once_and_the_robot_sits_once_it_lies_still(deploy, toy,
     assert not [time for time, _ in sent(toy, Position) if damped <= time < armed]
 
 
+@pytest.mark.parametrize("remote", [False, True])
+def test_a_stop_at_once_after_a_fall_keeps_the_motors_damped(remote, deploy, toy, stop, link):
+    at_step(20, tilt(0.6), toy)
+    when = STARTUP_TIME + 20 * STEP + 0.3
+    if remote:
+        tick = toy.firmware.tick
+
+        def announce(now, vitals):
+            if toy.firmware.mode == Mode.FAULT and not any(fault.reason == Reason.REMOTE for fault in link.faults):
+                toy.firmware.announce(now, (Reason.REMOTE, "L2 and B of the remote control are pressed"))
+            return tick(now, vitals)
+
+        toy.firmware.tick = announce
+    else:
+        stop.at = stop.again = when
+    outcome, _, _ = deploy(steps=300)
+    assert outcome.text.endswith("it stays damped: stopped at once by the operator")
+    assert (outcome.ended, outcome.safe, toy.firmware.mode) == ("fall", True, Mode.FAULT)
+    damped = sent(toy, Damp)[0][0]
+    assert not [time for time, _ in sent(toy, Position) if time > damped]
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [

@@ -92,6 +92,20 @@ def test_the_most_urgent_verdict_comes_first(judge, stops, reason):
 
 
 @pytest.mark.parametrize(
+    ("change", "act"),
+    [
+        ({"state_age": 1.0}, Act.DAMP),
+        ({"missed": 9}, Act.DAMP),
+        ({"motor_angle": np.full(8, np.nan)}, Act.DAMP),
+        ({"roll_pitch_yaw": tilted(0.9)}, Act.FALL),
+        ({}, Act.SIT),
+    ],
+)
+def test_a_robot_that_asks_to_sit_is_checked_all_the_same(judge, change, act):
+    assert judge(reason=int(Reason.REMOTE), **change).act is act
+
+
+@pytest.mark.parametrize(
     "step",
     [
         {"roll_pitch_yaw": tilted(0.8), "upright": False},  # a fallen robot that sits down

@@ -96,6 +96,10 @@ def main(argv: list[str]) -> int:
     command.check_link()
     if command.browser and command.commands is not None:
         raise SurefootError("--browser and --commands can't be combined; commands come from one source")
+    if command.dry_run and command.release:
+        raise SurefootError(
+            "--dry-run and --release can't be combined: a dry run sends nothing, and --release moves a Go2"
+        )
     if command.browser and command.lockstep:
         raise SurefootError("--browser and --lockstep can't be combined; a page runs in real time")
     if command.browser:
@@ -124,8 +128,8 @@ def main(argv: list[str]) -> int:
         if error is not None:
             raise SurefootError(f"policy '{contract.name}' must not run on this robot: {error}")
 
-    with StopSignals() as stop, contextlib.ExitStack() as stack:
-        link = command.open_link(robot, contract)
+    stop = StopSignals()
+    with contextlib.ExitStack() as stack:
         title = f"{contract.name} on {robot.name}, {command.address}" + (", dry run" if command.dry_run else "")
         commands: CommandSource | None = None
         monitor: RunMonitor
@@ -148,12 +152,22 @@ def main(argv: list[str]) -> int:
         else:
             monitor = open_display(title)
         stack.callback(monitor.close)
+        # After all that can be rejected, as a Go2 lies down when its controller is released. Until the link is open,
+        # Ctrl-C ends the command.
+        link = command.open_link(robot, contract, may_ask=not command.dry_run)
+        unused = stack.enter_context(contextlib.ExitStack())
+        unused.callback(link.close)
+        stack.enter_context(stop)
         maps = None
         if command.height_map is not None and contract.height_map is not None:
             maps = MapChannel(command.height_map, contract.height_map, link.clock.now)
             stack.callback(maps.close)
         deployment = Deployment(link, controller, stop, monitor, command.dry_run, commands, maps)
+        unused.pop_all()  # the deployment closes it
         stack.callback(deployment.close)
+        for result in link.preliminary_checks:
+            if result.passed is None:
+                monitor.warn(f"{result.name} was not checked: {result.message}; {result.remedy}")
         if not command.lockstep:
             stack.enter_context(real_time_priority())
         deployment.connect(check)

@@ -50,7 +50,8 @@ class DoctorCommand(LinkOptions):
 
     policy: PolicyName
     rack: bool = False
-    """Also move each motor by 0.05 rad; the robot must hang freely, with its legs in the air."""
+    """Also move each motor by 0.05 to 0.15 rad, after legs with abduction have moved apart; the robot must hang freely,
+    with its legs in the air."""
     ground: bool = False
     """Also stand up and tilt the body; the robot must sit on flat ground with a metre of free space."""
     yes: Yes = False

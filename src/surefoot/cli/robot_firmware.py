@@ -9,12 +9,14 @@ from typing import Annotated
 
 import tyro
 
+from surefoot.check_result import first_failure
 from surefoot.cli.doctor import FAILED, print_result
 from surefoot.cli.helpers.link_options import SerialOptions
 from surefoot.cli.helpers.options import PLACES, Port, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.output import Actions, make_console, next_command, run_action
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
+from surefoot.deploy.checks import check_handshake
 from surefoot.deploy.doctor.duty_check import MAX_DUTY, try_duty
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.errors import SurefootError, choices
@@ -86,7 +88,11 @@ def _motor(argv: list[str]) -> int:
     link = command.open_port(command.port, robot.num_motors)
     try:
         with StopSignals() as operator:
-            link.connect()
+            handshake = link.connect()
+            # Signs and servo period may be wrong: this command is for the time before the servo works.
+            known = [result for result in check_handshake(handshake, robot) if result.name in ("robot", "motors")]
+            if (error := first_failure(known)) is not None:
+                raise SurefootError(f"no motor is turned: {error}")
             link.wait_for(lambda: link.state is not None, 1.0)
             number = robot.motor_names.index(command.motor)
             result = try_duty(link, robot, number, command.duty, command.duration, operator)

@@ -278,8 +278,11 @@ class Deployment:
 
     def close(self) -> None:
         """End the session and close the link."""
-        with contextlib.suppress(LinkLostError, OSError):
-            self.link.close()
+        try:
+            with contextlib.suppress(LinkLostError, OSError):
+                self.link.close()
+        except SurefootError as error:  # a Go2's own controller was not activated; the run has its outcome
+            self.monitor.warn(str(error))
 
 
 def _outcome(verdict: Verdict) -> RunOutcome:

@@ -18,7 +18,7 @@ from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.safety import GO, Act, Guard, SafetyLimits, Verdict
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
-from surefoot.stop_signals import StopSignals
+from surefoot.stop_signals import SIT, StopSignals
 
 LAY_FLAT_TIME, FOLD_TIME, PAUSE_TIME, RISE_TIME, STAND_TIME = 1.0, 1.0, 0.3, 1.5, 0.5
 """Durations of laying the legs flat, drawing them in, pausing, standing up, and standing before the policy starts [s].
@@ -214,8 +214,9 @@ class MotionRunner:
     def recover_from_fall(self) -> str:
         """Damp the motors until a fallen robot lies still, then move it to the sitting pose; return the result as text.
 
-        A robot that lies on its side stays damped.
+        A robot that lies on its side stays damped, and so does one that the operator stops at once.
         """
+        heard = len(self.link.faults)
         self.release(damp=True)
         self.loop.monitor.phase("lie still", _STILL_TIMEOUT)
         clock = self.link.clock
@@ -225,7 +226,14 @@ class MotionRunner:
             speed = max(np.abs(self.state.motor_velocity).max(), np.abs(self.state.angular_velocity_base).max())
             return clock.now() >= earliest and bool(speed < STILL_SPEED)
 
-        if not self.ping_until(still, _STILL_TIMEOUT):
+        def stopped() -> bool:
+            remote = any(fault.reason == Reason.REMOTE for fault in self.link.faults[heard:])
+            return remote or self.loop.operator.stops > SIT
+
+        rested = self.ping_until(lambda: stopped() or still(), _STILL_TIMEOUT)
+        if stopped():
+            return "it stays damped: stopped at once by the operator"
+        if not rested:
             return "it does not come to rest and stays damped"
         if np.abs(self.state.roll_pitch_yaw[:2]).max() > self.handshake.tilt_limit:
             return "it lies on its side and stays damped"

@@ -108,6 +108,11 @@ def is_finite(state: State) -> bool:
     return math.isfinite(state.energy) and all(np.isfinite(part).all() for part in parts)
 
 
+def _reason_name(state: State) -> str:
+    known = state.reason in {*Reason}
+    return Reason(state.reason).name.lower().replace("_", " ") if known else str(state.reason)
+
+
 class Guard:
     """Checks the robot's state in each control step against the safety limits.
 
@@ -162,6 +167,7 @@ class Guard:
             self._lateness(state_age, missed),
             GO if is_finite(state) else Verdict(Act.DAMP, "not finite", "a reading of the robot is not finite"),
             self._tilt(state) if upright else GO,
+            self._request(state) if armed else GO,
             self._battery(time, state.voltage),
             self._temperature(state),
             self._map(),
@@ -174,15 +180,19 @@ class Guard:
     def _robot(self, state: State) -> Verdict:
         if state.session != self.session:
             return Verdict(Act.DAMP, "session", "the robot has restarted and lost this session")
-        known = state.reason in {*Reason}
-        name = Reason(state.reason).name.lower().replace("_", " ") if known else str(state.reason)
         if state.mode == Mode.FAULT:
+            name = _reason_name(state)
             return Verdict(Act.GONE, f"{ROBOT_REASON}{name}", f"the robot has damped its motors ({name})")
         if state.mode != self.mode:
             return Verdict(Act.DAMP, "mode", f"the robot is in mode {state.mode}; it must be in mode {int(self.mode)}")
+        return GO
+
+    def _request(self, state: State) -> Verdict:
+        """Return the verdict of a robot that asks to sit; it asks in every state, so other checks come first."""
         if state.reason == Reason.REMOTE:
             return Verdict(Act.SIT, "operator", "stopped with the remote control")
         if state.reason:
+            name = _reason_name(state)
             return Verdict(Act.SIT, f"{ROBOT_REASON}{name}", f"the robot asks to sit ({name})")
         return GO
 

@@ -319,6 +319,17 @@ def test_a_fault_damps_in_time(
     assert set(np.diff([command.time for command in bench.commands])) == {PERIOD}
 
 
+def test_the_stop_of_the_remote_control_is_announced_while_the_motors_are_damped(bench: Bench) -> None:
+    pressed = low_level.RemoteControl(frozenset(("L2", "B")), 0.0, 0.0, 0.0, 0.0).encode()
+    released = low_level.RemoteControl(frozenset(), 0.0, 0.0, 0.0, 0.0).encode()
+    bench.at(EVENT, lambda: bench.lean(1.2))
+    bench.at(EVENT + 100_000, lambda: bench.state.__setitem__("wireless_remote", pressed))
+    bench.at(EVENT + 200_000, lambda: bench.state.__setitem__("wireless_remote", released))
+    bench.run(until=2 * EVENT + 300_000)
+    assert bench.reasons[0] == Reason.TILT
+    assert Reason.REMOTE in bench.reasons
+
+
 def test_a_stick_of_the_remote_control_asks_to_sit_and_does_not_damp(bench: Bench) -> None:
     stick = low_level.RemoteControl(frozenset(), 0.8, 0.0, 0.0, 0.0).encode()
     bench.at(EVENT, lambda: bench.state.__setitem__("wireless_remote", stick))

@@ -20,6 +20,7 @@ from surefoot.deploy.dds.low_level import MOTOR_NAMES, STATE_PERIOD
 from surefoot.deploy.dds.motion_service import MotionService
 from surefoot.deploy.dds.processes import Child, LinkConfig
 from surefoot.deploy.dds.socket_port import SocketPort
+from surefoot.deploy.messages import Mode
 from surefoot.deploy.robot_link import LinkLostError
 from surefoot.deploy.serial.codec import Codec
 from surefoot.deploy.serial.serial_link import SerialLink
@@ -131,17 +132,27 @@ class DdsLink(SerialLink):
     def close(self) -> None:
         """End the session; return when the supervisor has damped the motors and exited.
 
+        The robot's own controller is handed the robot only if its motors were not damped by a stop or a fault, and it
+        lies still.
+
         Raises:
-            SurefootError: the robot's own controller could not be selected.
+            SurefootError: the robot's own controller was not, or could not be selected.
         """
         children, self.children = self.children, []
+        ended = self.state is None or self.state.mode == Mode.DISARMED
         with contextlib.suppress(LinkLostError):
             super().close()
         for child in children:
             child.finish(_EXIT_TIMEOUT)
         if self._hand_back and children:
+            if not ended:
+                raise SurefootError(
+                    "--hand-back: the motors were damped, so the robot's own controller is not activated"
+                )
             bus = Bus(self._config.interface, self._config.domain)
             try:
+                if not Inspection(bus, self._config.interface, self._config.domain).is_lying():
+                    raise SurefootError("--hand-back: the robot does not lie still; its controller is not activated")
                 MotionService(bus).hand_back()
             finally:
                 bus.close()

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import operator
 import struct
+from collections import deque
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -88,7 +89,10 @@ class StateMonitor:
         self._angle = self._velocity = self._torque = none
         self._roll_pitch_yaw = self._rate = self._force = (0.0, 0.0, 0.0)
         self._temperature, self._lost = (0,) * MOTORS, (0,) * MOTORS
-        self._new_at, self._polls, self._lost_since = -math.inf, 0, -math.inf
+        self._losses: deque[tuple[int, tuple[int, ...]]] = deque()
+        """When a motor lost messages within `LOST_WINDOW` [us], and the counts of all motors before."""
+        self._counted = False
+        self._new_at, self._polls = -math.inf, 0
         self._repeats = self._bad = 0
         """Number of states with a repeated tick, and of damaged ones, since the last new state."""
         self._held_hazard: Hazard | None = None
@@ -122,7 +126,9 @@ class StateMonitor:
             if rise < 0:
                 self._hold(now, Reason.RESTARTED, f"the robot's tick went back by {-rise} ms")
                 rise = 0
-            self.energy += 1e-3 * rise * abs(sum(map(operator.mul, self._torque, self._velocity)))
+            power = abs(sum(map(operator.mul, self._torque, self._velocity)))
+            if math.isfinite(power):  # a single damaged reading must not stay in the sum
+                self.energy += 1e-3 * rise * power
         self.tick, self._new_at, self._polls, self._repeats, self._bad = tick, now, 0, 0, 0
         mode, self._angle, self._velocity, self._torque, self._temperature, lost = (
             motors[k :: len(_MOTOR)] for k in range(len(_MOTOR))
@@ -145,12 +151,22 @@ class StateMonitor:
         if mode != _ON:
             motor = next(m for m in range(MOTORS) if mode[m] != SERVO)
             return Reason.MOTOR_OFF, f"{MOTOR_NAMES[motor]} is off (mode {mode[motor]})"
-        rises = (0,) if lost == self._lost else tuple(map(operator.sub, lost, self._lost))
-        if now - self._lost_since > LOST_WINDOW or min(rises) < 0:
-            self._lost, self._lost_since = lost, now
-        elif (worst := max(rises)) >= MAX_LOST:
-            text = f"{MOTOR_NAMES[rises.index(worst)]} has lost {worst} messages in {1e-3 * LOST_WINDOW:g} ms"
-            self._hold(now, Reason.MOTOR_OFF, text)
+        if lost == self._lost:
+            return None
+        # The first counts say nothing, and neither do counts that decrease: the robot has restarted.
+        restarted = not self._counted or min(map(operator.sub, lost, self._lost)) < 0
+        if restarted:
+            self._losses.clear()
+        else:
+            self._losses.append((now, self._lost))
+        self._lost, self._counted = lost, True
+        while self._losses and now - self._losses[0][0] > LOST_WINDOW:
+            self._losses.popleft()
+        if self._losses:
+            rises = tuple(map(operator.sub, lost, self._losses[0][1]))
+            if (worst := max(rises)) >= MAX_LOST:
+                text = f"{MOTOR_NAMES[rises.index(worst)]} has lost {worst} messages in {1e-3 * LOST_WINDOW:g} ms"
+                self._hold(now, Reason.MOTOR_OFF, text)
         return None
 
     def _read_remote(self, data: bytes) -> None:
@@ -163,6 +179,11 @@ class StateMonitor:
     def _hold(self, now: int, reason: Reason, text: str) -> None:
         self._held_hazard, self._held_until = (reason, text), now + HAZARD_HOLD
 
+    @property
+    def stop_hazard(self) -> Hazard | None:
+        """The hazard that the operator stops the robot with the remote control; None if not."""
+        return (Reason.REMOTE, "L2 and B of the remote control are pressed") if self._stop else None
+
     def hazard(self, now: int) -> Hazard | None:
         """Return why the motors must not move, or None."""
         silence = now - self._new_at
@@ -173,8 +194,8 @@ class StateMonitor:
             if self._repeats >= MIN_POLLS:
                 return Reason.STATES_FROZEN, f"{since}: the robot repeats tick {self.tick}"
             return Reason.STATES_LATE, since
-        if self._stop:
-            return Reason.REMOTE, "L2 and B of the remote control are pressed"
+        if self.stop_hazard is not None:
+            return self.stop_hazard
         if self._state_hazard is not None:
             return self._state_hazard
         return self._held_hazard if self._held_hazard is not None and now < self._held_until else None

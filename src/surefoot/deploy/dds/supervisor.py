@@ -193,6 +193,9 @@ class Supervisor:
             self._exchanged = now
             self._exchange_heartbeats()
         self.states.update(now, self._state_reader.take())
+        stop = self.states.stop_hazard
+        if stop is not None and self.firmware.owner and not self.firmware.armed:
+            self.firmware.announce(now, stop)  # damped motors must not be armed again after a fall
         command = self.firmware.tick(now, self.states.vitals(now, self._external_hazard(now)))
         self._cycles += 1
         if self._active or self.firmware.armed:

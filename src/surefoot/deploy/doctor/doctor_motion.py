@@ -98,7 +98,7 @@ class DoctorMotion(MotionRunner):
         try:
             if damp:
                 self.loop.damp()
-            elif self.sits:
+            elif self.sits and self.has_risen:
                 self._raise_if_stopped(self.sit_down())
         except BaseException as stopped:
             damp = not _may_sit(stopped)
@@ -121,6 +121,10 @@ class DoctorMotion(MotionRunner):
     def go(self, target: Array, duration: float) -> None:
         """Move smoothly to motor angles (M,) [rad] within a duration [s]."""
         self._raise_if_stopped(self.move("doctor", target, duration))
+
+    def rise(self, standing: Array) -> None:
+        """Stand up to motor angles (M,) [rad] from any lying pose."""
+        self._raise_if_stopped(self.stand_up(standing))
 
     def _raise_if_stopped(self, verdict: Verdict) -> None:
         if verdict.act is not Act.GO:

@@ -57,7 +57,8 @@ def try_duty(
 
     def compute(k: int, state: State, missed: int) -> Array:
         nonlocal moved_enough
-        moved_enough = moved_enough or abs(state.motor_angle[motor] - start[motor]) > MAX_MOTION
+        # Of any motor: if two motors are exchanged, the other one turns.
+        moved_enough = moved_enough or bool((np.abs(state.motor_angle - start) > MAX_MOTION).any())
         values = np.zeros(robot.num_motors)
         values[motor] = 0.0 if moved_enough or k >= steps else duty
         return values

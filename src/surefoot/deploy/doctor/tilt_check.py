@@ -22,7 +22,7 @@ from surefoot.policy.contract import Contract
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
-RISE_TIME, SETTLE_TIME, TILT_TIME = 1.5, 0.6, 0.8
+SETTLE_TIME, TILT_TIME = 0.6, 0.8
 """Time to stand up, to settle, and to move into a tilt [s]."""
 MAX_ERROR = 0.8
 """Maximum deviation of a motor from its target [rad]; legs that carry the robot yield by some 0.2 rad."""
@@ -78,7 +78,7 @@ def tilt_robot(
     motion = DoctorMotion(link, robot, contract.control_step, operator, MAX_ERROR, sits=True)
     try:
         with motion:
-            motion.go(stand, RISE_TIME)
+            motion.rise(stand)
             tilts = []
             for side in SIDES:
                 motion.hold(stand, SETTLE_TIME)
