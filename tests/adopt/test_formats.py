@@ -127,6 +127,12 @@ def test_a_manual_specification_has_clocks_constants_and_columns(go2, write, pro
             "'height_scan' is the height",
         ),
         ("unitree_rl_lab", "deploy.yaml", {"observations": {"heigt": {"params": {}}}}, "'heigt' is unknown; known are"),
+        (
+            "unitree_rl_lab",
+            "deploy.yaml",
+            {"actions": {"JointPositionAction": 0.25}},
+            "actions.JointPositionAction is 0.25; it must be a table",
+        ),
         ("manual", "policy.yaml", {"kp": None}, "kp is missing; it must be given"),
         ("manual", "policy.yaml", {"kpp": 3}, "kpp is not a key"),
         ("manual", "policy.yaml", {"joints": ["a", "b"]}, "default_pose has 12 numbers; there are 2 joints"),

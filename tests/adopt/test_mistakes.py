@@ -106,6 +106,32 @@ def test_a_corrected_policy_equals_one_built_from_the_corrected_specification(go
         np.testing.assert_allclose(mine[3 * k : 3 * k + 3, :12], np.clip(theirs[:, :12], low, high), atol=1e-4)
 
 
+def test_a_corrected_policy_clips_targets(go2, network):
+    clipped = replace(SPECIFICATION, target_clip=(-1.6, (0.05, 0.9, -1.4) * 4))
+    policy = PolicyRuntime.parse(build_policy(clipped, network, go2, "own", {}))
+    raw = np.random.default_rng(0).normal(scale=0.5, size=(20, policy.contract.width))
+    mine = CorrectedPolicy(policy, go2, [clipped]).feedback(raw)
+    np.testing.assert_allclose(mine[:, :12], policy.feedback(raw)[:, :12], atol=1e-5)
+
+
+def test_another_order_of_joints_takes_all_numbers_along(go2):
+    spec = replace(
+        SPECIFICATION,
+        action_clip=((-1.0, -2.0, -3.0) * 4, 5.0),
+        observations=(ObservationTerm("joint_speeds", scale=(0.1, 0.2, 0.3) * 4), ObservationTerm("gravity")),
+    )
+    hips_first = "order of joints: it should be FL FR RL RR, joint by joint"
+    (moved,) = (
+        one.specification
+        for one in corrections(spec, go2)
+        if one.text == hips_first and one.specification.kp != spec.kp
+    )
+    assert moved.kp == (40.0,) * 4 + (41.0,) * 4 + (42.0,) * 4
+    assert moved.action_clip == ((-1.0,) * 4 + (-2.0,) * 4 + (-3.0,) * 4, 5.0)
+    assert moved.observations[0].scale == (0.1,) * 4 + (0.2,) * 4 + (0.3,) * 4
+    assert moved.observations[1] == spec.observations[1]
+
+
 def test_only_adopted_policies_have_a_specification():
     from surefoot.api.policies import find_policy
 

@@ -203,9 +203,34 @@ def branch(model):
     model.graph.node.append(helper.make_node("If", ["obs"], ["out"], then_branch=inner, else_branch=inner))
 
 
+def cut(model):
+    model.graph.initializer[0].raw_data = model.graph.initializer[0].raw_data[:-4]
+
+
+def other_type(model):
+    model.graph.initializer[0].data_type = 99
+
+
+def outer_sum(model):
+    for name, shape in (("row", (1, 5000)), ("column", (5000, 1))):
+        model.graph.initializer.append(numpy_helper.from_array(np.zeros(shape, np.float32), name))
+    add_node("Add", ["row", "column"], ["big"])(model)
+
+
+def repeated(model):
+    model.graph.initializer.append(numpy_helper.from_array(np.zeros((1, 5000), np.float32), "long"))
+    model.graph.initializer.append(numpy_helper.from_array(np.zeros(5000, np.int64), "index"))
+    add_node("Gather", ["long", "index"], ["big"])(model)
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [
+        (changed(cut), "of the network can't be read"),
+        (changed(other_type), "of the network can't be read"),
+        (changed(outer_sum), "operator Add in an unsupported way: it makes 25000000 numbers"),
+        (changed(repeated), "operator Gather in an unsupported way: it makes 25000000 numbers"),
+        (changed(add_node("Split", ["obs"], ["x"], num_outputs=0)), "uses operator Split in an unsupported way"),
         (b"", "is not ONNX"),
         (b"\x80\x04\x95 a pickle", "is not ONNX"),
         (changed(add_node("Loop", ["obs"], ["x"])), "the network has operator 'Loop'; known are"),

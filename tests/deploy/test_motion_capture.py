@@ -108,6 +108,15 @@ def test_a_file_that_does_not_cover_the_run_is_rejected(start, straight):
         base_and_feet(read_capture(straight), start, 0.006, 100, LEGS)
 
 
+def test_a_gap_within_the_run_is_rejected(straight):
+    capture = read_capture(straight)
+    seen = (capture["time"] < 0.7) | (capture["time"] > 0.9)
+    capture = {name: values[seen] for name, values in capture.items()}
+    with pytest.raises(SurefootError, match=r"no rows from 0\.695 to 0\.905 s on the robot's clock, within the run"):
+        base_and_feet(capture, 0.5, 0.006, 100, LEGS)
+    base_and_feet(capture, 1.0, 0.006, 100, LEGS)  # the gap is before this run
+
+
 def test_quaternions_with_a_wrong_norm_are_rejected(tmp_path):
     path = tmp_path / "capture.csv"
     path.write_text(HEAD + "\n0,0,0,0,0,0,0,0\n1,0,0,0,0,0,0,0\n")

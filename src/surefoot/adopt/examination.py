@@ -178,6 +178,7 @@ class CorrectedPolicy:
         self._own = own.target_map()
         self.makers = [self._maker(one, robot, contract) for one in specifications]
         self._targets = [maker.target_map() for maker in self.makers]
+        self._clips = [one.target_clip for one in specifications]
         self._maps: list[tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]] = []
         for maker in self.makers:
             other, shift, factor = maker.observation_map()
@@ -213,9 +214,11 @@ class CorrectedPolicy:
             actions = feedback[:, self._motors : self._motors + self._joints]
         else:
             actions = (feedback[:, : self._motors] @ to_motors.T - offset) / scale
-        for group, (scale, offset, to_motors) in zip(groups, self._targets, strict=True):
-            target = (actions[group] * scale + offset) @ to_motors
-            feedback[group, : self._motors] = np.clip(target, *self._limits)
+        for group, (scale, offset, to_motors), clip in zip(groups, self._targets, self._clips, strict=True):
+            target = actions[group] * scale + offset
+            if clip is not None:
+                target = np.clip(target, *clip)
+            feedback[group, : self._motors] = np.clip(target @ to_motors, *self._limits)
         return feedback
 
 

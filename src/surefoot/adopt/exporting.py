@@ -69,7 +69,10 @@ def export_rl_sar(policy: PolicyRuntime, data: bytes, robot: RobotDescription, f
     count, decimation = robot.num_motors, max(round(made.control_step / _PHYSICS_STEP), 1)
     torque = np.broadcast_to(getattr(robot.actuator, "torque_limit", 0.0), count).astype(float)
     # The robot stands up with the data sheet's gains, because a policy's gains are often too soft for it.
-    fixed = {f"fixed_{name}": [float(getattr(robot.actuator, name))] * count for name in ("kp", "kd")}
+    fixed = {
+        f"fixed_{name}": np.broadcast_to(np.asarray(getattr(robot.actuator, name), float), count).tolist()
+        for name in ("kp", "kd")
+    }
     # In rl_sar, motors are in the order of the hardware.
     base: dict[str, object] = {
         "dt": made.control_step / decimation,

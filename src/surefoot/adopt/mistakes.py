@@ -103,10 +103,16 @@ def _reordered(spec: PolicySpecification, order: tuple[str, ...], places: Sequen
     def moved(value: Any) -> Any:
         return tuple(value[place] for place in places) if isinstance(value, tuple) else value
 
-    changes = {
-        name: moved(getattr(spec, name)) for name in ("default_pose", "kp", "kd", "action_scale", "action_offset")
-    }
-    return replace(spec, joints=order, joint_signs=moved(spec.joint_signs), **changes)
+    numbers = ("default_pose", "kp", "kd", "action_scale", "action_offset", "joint_signs")
+    changes: dict[str, Any] = {name: moved(getattr(spec, name)) for name in numbers}
+    for name in ("action_clip", "target_clip"):
+        if (ends := getattr(spec, name)) is not None:
+            changes[name] = tuple(moved(end) for end in ends)
+    per_joint = (
+        replace(term, scale=moved(term.scale)) if np.size(term.scale) == len(order) else term
+        for term in spec.observations
+    )
+    return replace(spec, joints=order, observations=tuple(per_joint), **changes)
 
 
 def _signs(spec: PolicySpecification, robot: RobotDescription) -> Iterator[Correction]:

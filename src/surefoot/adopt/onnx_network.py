@@ -74,7 +74,7 @@ class OnnxNetwork:
     def add(self, graph: Graph, observation: Value, hidden: list[Value]) -> tuple[Value, list[Value]]:
         """Add the translated nodes to a graph; return the action and the next hidden states."""
         source = self.model.graph
-        items: dict[str, Item] = {tensor.name: numpy_helper.to_array(tensor) for tensor in source.initializer}
+        items: dict[str, Item] = {tensor.name: _read_constant(tensor) for tensor in source.initializer}
         items |= {one.name: value for one, value in zip(self._inputs, [observation, *hidden], strict=True)}
         for node in source.node:
             _translate(graph, node, items)
@@ -197,12 +197,12 @@ def _translate(graph: Graph, node: onnx.NodeProto, items: dict[str, Item]) -> No
     if missing:
         raise SurefootError(f"the network has a {kind} of {quote(missing[0])}, which is not defined before it")
     inputs = [items[name] if name else None for name in node.input]
-    attributes = _attributes(node)
-    if kind == "Split":  # before opset 18, the number of parts is the number of outputs
-        attributes.setdefault("num_outputs", len(node.output))
     try:
+        attributes = _attributes(node)
+        if kind == "Split":  # before opset 18, the number of parts is the number of outputs
+            attributes.setdefault("num_outputs", len(node.output))
         results = _OPERATORS[kind](graph, inputs, attributes)
-    except (_UnknownUseError, ValueError, IndexError, TypeError, KeyError, AttributeError) as error:
+    except (_UnknownUseError, ArithmeticError, ValueError, IndexError, TypeError, KeyError, AttributeError) as error:
         raise SurefootError(f"the network uses operator {kind} in an unsupported way: {error}") from error
     for name, item in zip(node.output, results, strict=False):
         if isinstance(item, Value) and not 0 < item.width <= MAX_WIDTH:
@@ -227,6 +227,19 @@ def _constant(item: Any) -> NDArray[Any]:
     return np.asarray(item)
 
 
+def _read_constant(tensor: TensorProto) -> NDArray[Any]:
+    try:
+        return numpy_helper.to_array(tensor)
+    except (ValueError, TypeError, KeyError) as error:
+        raise SurefootError(f"constant {quote(tensor.name)} of the network can't be read: {error}") from error
+
+
+def _check_size(shape: Sequence[int]) -> None:
+    """Reject the shape of a constant with too many numbers, before it is computed."""
+    if math.prod(shape) > MAX_NUMBERS:
+        raise _UnknownUseError(f"it makes {math.prod(shape)} numbers; at most {MAX_NUMBERS} are allowed")
+
+
 def _row(array: Any) -> Array:
     """Return a constant as one row; a single number has width 1."""
     numbers = np.asarray(array, np.float64)
@@ -243,6 +256,7 @@ def _binary(kind: str, function: Callable[[Any, Any], Any]) -> Operator:
     def apply(graph: Graph, inputs: list[Any], _: dict[str, Any]) -> Sequence[Item]:
         first, second = inputs
         if not isinstance(first, Value) and not isinstance(second, Value):
+            _check_size(np.broadcast_shapes(np.shape(first), np.shape(second)))
             return [function(first, second)]
         widths = {item.width if isinstance(item, Value) else _row(item).shape[1] for item in inputs}
         if len(widths - {1}) > 1:
@@ -298,6 +312,7 @@ def _axis_is_last(axis: int) -> None:
 
 def _concat(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
     if not any(isinstance(item, Value) for item in inputs):
+        _check_size((sum(np.size(item) for item in inputs),))
         return [np.concatenate([np.atleast_1d(_constant(item)) for item in inputs], attributes.get("axis", 0))]
     _axis_is_last(attributes.get("axis", 1))
     return [graph.join([_value(item) for item in inputs])]
@@ -328,6 +343,8 @@ def _slice(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Seque
 def _gather(graph: Graph, inputs: list[Any], attributes: dict[str, Any]) -> Sequence[Item]:
     index, axis = _constant(inputs[1]).astype(int), attributes.get("axis", 0)
     if not isinstance(inputs[0], Value):
+        shape = np.shape(inputs[0])
+        _check_size((np.size(inputs[0]) // max(shape[axis], 1), np.size(index)))
         return [np.take(inputs[0], index, axis)]
     _axis_is_last(axis)
     return [graph.select(inputs[0], [range(inputs[0].width)[k] for k in np.atleast_1d(index)])]

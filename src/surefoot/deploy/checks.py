@@ -25,6 +25,8 @@ _STEP_TOLERANCE = 0.1
 """Maximum difference of a control step from a whole number of servo periods [servo periods]."""
 _ANGLE_TOLERANCE = 1e-4
 """Tolerance of angles, which are sent as 32-bit floats [rad]."""
+GAINS_CHECK = "servo gains"
+"""Name of the check of the servos' gains."""
 GAIN_TOLERANCE = 0.05
 """Maximum relative difference of servo gains and servo period from their values in training."""
 
@@ -193,7 +195,7 @@ def _check_gains(contract: Contract, handshake: Handshake) -> CheckResult:
     kp, kd = handshake.servo_kp, handshake.servo_kd
     trained = format_gains(contract.servo_kp, contract.servo_kd)
     remedy = f"set {trained} in the firmware, or set the robot's gains in its data sheet and train again"
-    return fail_if("servo gains", _gains_error(contract, kp, kd), format_gains(kp, kd), remedy, float(np.mean(kp)))
+    return fail_if(GAINS_CHECK, _gains_error(contract, kp, kd), format_gains(kp, kd), remedy, float(np.mean(kp)))
 
 
 def _gains_error(contract: Contract, kp: Array, kd: Array) -> str | None:

@@ -21,6 +21,10 @@ class DescribedEnum(IntEnum):
         return member
 
 
+NAME_BYTES = 24
+"""Maximum length of the names of a robot and its motors [bytes]."""
+
+
 class Mode(DescribedEnum):
     """Motor mode of the robot."""
 

@@ -17,7 +17,8 @@ from surefoot.rotations import quat_yaw
 
 COLUMNS = ("time", "x", "y", "z", "qw", "qx", "qy", "qz")
 MAX_MISSING_TIME = 0.05
-"""Maximum time by which a file may begin late or end early [s]; the nearest row is used there."""
+"""Maximum time by which a file may begin late or end early, where the nearest row is used, and of gaps within it, which
+are interpolated, unless it has few rows anyway [s]."""
 
 
 def read_capture(path: Path) -> dict[str, Array]:
@@ -68,13 +69,22 @@ def base_and_feet(
         switch.
 
     Raises:
-        SurefootError: the file does not cover the run.
+        SurefootError: the file does not cover the run, or has a gap in it.
     """
     times, at = capture["time"], start + control_step * np.arange(steps + 1)
     if times[0] > at[0] + MAX_MISSING_TIME or times[-1] < at[-1] - MAX_MISSING_TIME:
         raise SurefootError(
             f"motion capture covers {times[0]:.3f} to {times[-1]:.3f} s on the robot's clock; "
             f"the run lasted from {at[0]:.3f} to {at[-1]:.3f} s"
+        )
+    steps_between = np.diff(times)
+    allowed = max(MAX_MISSING_TIME, 3 * float(np.median(steps_between)))
+    gaps = np.flatnonzero((steps_between > allowed) & (times[:-1] < at[-1]) & (times[1:] > at[0]))
+    if len(gaps):
+        first, last = times[gaps[0]], times[gaps[0] + 1]
+        raise SurefootError(
+            f"motion capture has no rows from {first:.3f} to {last:.3f} s on the robot's clock, within the run; it may "
+            f"miss at most {allowed:.3g} s"
         )
     position = np.stack([np.interp(at, times, capture[name]) for name in ("x", "y", "z")], axis=1)
     samples = np.stack([capture[name] for name in ("qw", "qx", "qy", "qz")], axis=1)

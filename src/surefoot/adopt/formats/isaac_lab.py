@@ -7,7 +7,8 @@ first value fills the whole history.
 from __future__ import annotations
 
 from surefoot.adopt.formats.common import unknown_term
-from surefoot.adopt.specification import ObservationTerm, PerJoint, Range, TermName
+from surefoot.adopt.specification import MAX_HISTORY, ObservationTerm, PerJoint, Range, TermName
+from surefoot.errors import SurefootError
 
 TERMS: dict[str, TermName] = {
     **dict.fromkeys(("base_ang_vel", "imu_ang_vel", "angular_velocity"), "angular_velocity"),
@@ -39,5 +40,7 @@ def make_term(
     """
     if name not in TERMS:
         raise unknown_term(name, TERMS)
+    if length > MAX_HISTORY:
+        raise SurefootError(f"term '{name}' has a history of {length}; at most {MAX_HISTORY} are allowed")
     steps = tuple(reversed(range(max(length, 1))))
     return ObservationTerm(TERMS[name], scale=scale, clip=clip, steps=steps, period=period or 1.0)

@@ -6,6 +6,7 @@ written.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -117,12 +118,17 @@ def _terms(properties: dict[str, str]) -> tuple[ObservationTerm, ...]:
     terms = []
     for k, name in enumerate(names):
         scale = values["scale"][k] if "scale" in values else [1.0]
-        length = int(values["history"][k][0]) if "history" in values else 1
+        length = values["history"][k][0] if "history" in values else 1.0
+        if not math.isfinite(length):
+            raise SurefootError(f"the history of observation {quote(name)} is {length}; it must be a whole number")
         clip: Range | None = None
         if "clip" in values and np.isfinite(values["clip"][k]).any():
-            low, high = np.nan_to_num(values["clip"][k], posinf=1e6, neginf=-1e6).tolist()
+            ends = np.nan_to_num(values["clip"][k], posinf=1e6, neginf=-1e6).tolist()
+            if len(ends) != 2:
+                raise SurefootError(f"the clip of observation {quote(name)} is {ends}; it must be two numbers")
+            low, high = ends
             clip = (low, high)
-        terms.append(make_term(name, scale[0] if len(scale) == 1 else tuple(scale), clip, length))
+        terms.append(make_term(name, scale[0] if len(scale) == 1 else tuple(scale), clip, int(length)))
     return tuple(terms)
 
 

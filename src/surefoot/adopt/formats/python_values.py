@@ -113,7 +113,10 @@ def _fold_or_computed(node: ast.expr, scope: Mapping[str, Any]) -> Any:
 
 
 def _text(node: ast.AST) -> str:
-    return " ".join(ast.unparse(node).split())[:80]
+    try:
+        return " ".join(ast.unparse(node).split())[:80]
+    except RecursionError:
+        return "a long expression"
 
 
 def _fold(node: ast.expr, scope: Mapping[str, Any], depth: int) -> Any:

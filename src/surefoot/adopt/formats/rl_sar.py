@@ -11,15 +11,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from surefoot.adopt.formats.common import field_names, from_table, match_joints, unknown_term, unread_keys, unread_note
 from surefoot.adopt.specification import ObservationTerm, PerJoint, PolicySpecification, TermName
 from surefoot.configuration import read_yaml
-from surefoot.errors import SurefootError, choices, prefix_errors
+from surefoot.errors import SurefootError, choices, prefix_errors, quote
 from surefoot.robot import RobotDescription
+
+T = TypeVar("T")
 
 TERMS: dict[str, TermName] = {
     "commands": "command",
@@ -163,7 +165,8 @@ def _old_format_joints(data: dict[str, Any], robot: RobotDescription) -> tuple[l
     for old, new in (("stiffness", "rl_kp"), ("damping", "rl_kd")):
         if new not in data and isinstance(data.get(old), int | float):
             data[new] = data[old]
-    controllers = data.get("joint_controller_names") or data.get("joint_names")
+    name = "joint_controller_names" if data.get("joint_controller_names") else "joint_names"
+    controllers = _list_of(data.get(name), str, name)
     if not controllers:
         first = ", ".join(robot.motor_names[:4])
         return [
@@ -183,7 +186,7 @@ def _order(table: _Config, own: Mapping[str, Any]) -> tuple[tuple[int, ...], str
     same = tuple(range(count))
     if own.get(_OLD_FORMAT_KEY) != "isaacsim" or not isinstance(rows, int) or not isinstance(columns, int):
         return same, ""
-    if rows * columns != count:
+    if rows < 1 or columns < 1 or rows * columns != count:
         raise SurefootError(f"rows and cols are {rows} and {columns}; there are {count} joints")
     if table.hip_scale_reduction_indices == same[::columns]:
         return same, "leg by leg as in hip_scale_reduction_indices, although framework is isaacsim"
@@ -228,9 +231,24 @@ def _single_table(path: Path) -> dict[str, Any]:
     raise SurefootError(f"{path}: holds {choices(data)}; a file of rl_sar has one table, such as 'go2/himloco'")
 
 
+def _list_of(value: Any, kind: type[T], where: str) -> list[T]:
+    """Return a list, empty if there is none.
+
+    Raises:
+        SurefootError: it is no list, or has an entry of another type.
+    """
+    if value is None:
+        return []
+    if not isinstance(value, list) or not all(isinstance(one, kind) for one in value):
+        what = "names" if kind is str else "whole numbers"
+        raise SurefootError(f"{where} is {quote(value)}; it must be a list of {what}")
+    return value
+
+
 def _hardware_names(base: dict[str, Any], robot: RobotDescription) -> list[str]:
     """Return the joint names in the order of the hardware."""
-    joints, mapping = base.get("joint_names"), base.get("joint_mapping")
+    joints = _list_of(base.get("joint_names"), str, "base.yaml: joint_names")
+    mapping = _list_of(base.get("joint_mapping"), int, "base.yaml: joint_mapping")
     if not joints or not mapping:
         return [*robot.motor_names]
     if len(joints) != len(mapping) or sorted(mapping) != [*range(len(joints))]:

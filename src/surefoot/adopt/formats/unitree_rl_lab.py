@@ -85,10 +85,12 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
                 raise SurefootError(f"{name} has {len(getattr(table, name))} numbers; {robot.name} has {count} motors")
         if list(table.actions) != [_ACTION]:
             raise SurefootError(f"actions are {choices(table.actions) or 'none'}; only {_ACTION} can be adopted")
-        action = from_table(_Action, table.actions[_ACTION] or {})
+        options = table.actions[_ACTION] or {}
+        if not isinstance(options, dict):
+            raise SurefootError(f"actions.{_ACTION} is {quote(options)}; it must be a table")
+        action = from_table(_Action, options)
         terms, by_step, ignored = _terms(table)
         ignored += unread_keys(data, field_names(_Config))
-        options = table.actions[_ACTION] or {}
         ignored += unread_keys(options, field_names(_Action), _ACTION_HARMLESS, f"actions.{_ACTION}.")
         ranges = _command_ranges(table)
         silent = {} if ranges else {"forward": "commands: the file states no ranges; --forward and others set them"}

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from surefoot.deploy.messages import Handshake
+from surefoot.deploy.messages import NAME_BYTES, Handshake
+from surefoot.errors import SurefootError
 
 if TYPE_CHECKING:
     from surefoot.robot import RobotDescription  # not imported on a board, which needs neither URDF nor data sheets
@@ -66,7 +67,16 @@ def make_handshake(robot: RobotDescription, limits: Limits, firmware: str, servo
         limits: limits of the microcontroller.
         firmware: name and version of the firmware.
         servo_period: period of the servo [s].
+
+    Raises:
+        SurefootError: a name of the robot or of a motor is too long for a message.
     """
+    for name in (robot.name, *robot.motor_names):
+        if len(name.encode()) > NAME_BYTES:
+            raise SurefootError(
+                f"the name '{name}' has {len(name.encode())} bytes; at most {NAME_BYTES} fit into messages: shorten it "
+                "in the robot's description"
+            )
     # Rounded as on the wire, so that a command of exactly these angles is within the limits.
     low, high = (angles.astype(np.float32).astype(np.float64) for angles in robot.command_range)
     return Handshake(

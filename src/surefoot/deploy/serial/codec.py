@@ -10,7 +10,7 @@ import struct
 from dataclasses import fields, replace
 
 from surefoot.deploy import messages
-from surefoot.deploy.messages import Message
+from surefoot.deploy.messages import NAME_BYTES, Message
 from surefoot.deploy.serial.fields import MOTORS, FieldEncoding, MessageLayout
 from surefoot.errors import SurefootError
 
@@ -38,9 +38,9 @@ SCHEMA: dict[type[Message], tuple[int, dict[str, FieldEncoding]]] = {
         65,
         {
             "session": _U16,
-            "robot": FieldEncoding("text", length=24),
+            "robot": FieldEncoding("text", length=NAME_BYTES),
             "firmware": FieldEncoding("text", length=40),
-            "motor_names": FieldEncoding("text", MOTORS, length=24),
+            "motor_names": FieldEncoding("text", MOTORS, length=NAME_BYTES),
             "motor_signs": FieldEncoding("i8", MOTORS),
             "servo_period": _TIME,
             "servo_kp": _MOTORS,

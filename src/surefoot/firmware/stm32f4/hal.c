@@ -23,10 +23,13 @@ void tick_interrupt(void)
 
 void line_interrupt(void)
 {
-    if ((USART_SR(USART1) & USART_SR_RXNE) != 0u) {
+    const uint32_t status = USART_SR(USART1);
+
+    /* An overrun also requests the interrupt, until status and data are read. */
+    if ((status & (USART_SR_RXNE | USART_SR_ORE)) != 0u) {
         const uint8_t byte = (uint8_t)USART_DR(USART1);
 
-        if (received - taken < RING) { /* otherwise the byte is lost, and its frame damaged */
+        if ((status & USART_SR_RXNE) != 0u && received - taken < RING) { /* otherwise the byte is lost, and its frame damaged */
             in[received % RING] = byte;
             received++;
         }

@@ -25,6 +25,7 @@
 #define USART_DR(base) REGISTER((base) + 0x04u)
 #define USART_BRR(base) REGISTER((base) + 0x08u)
 #define USART_CR1(base) REGISTER((base) + 0x0Cu)
+#define USART_SR_ORE (1u << 3)
 #define USART_SR_RXNE (1u << 5)
 #define USART_SR_TXE (1u << 7)
 #define USART_CR1_RE (1u << 2)
