@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike
 
 from surefoot.evaluation.gap import PolicyGap
 from surefoot.evaluation.sensitivity import NOMINAL, Sensitivity, row_unit
+from surefoot.robot import RobotDescription
+
+MINITAUR = RobotDescription.load("minitaur")
 
 
 def runs_table(world: str, *returns: float, falls: int = 0) -> pd.DataFrame:
@@ -39,7 +42,7 @@ def sensitivity_table(
     """
     values, nominal_returns, nominal_fell = nominal
     table = np.vstack([nominal_returns, returns])
-    places = [(NOMINAL, "", np.nan), *((row, row_unit(row), value) for row, value, *_ in worlds)]
+    places = [(NOMINAL, "", np.nan), *((row, row_unit(row, MINITAUR), value) for row, value, *_ in worlds)]
     frame = pd.DataFrame([one for one in places for _ in range(table.shape[1])], columns=["row", "unit", "value"])
     columns = {"return": table.ravel(), "speed": 0.5, "fell": np.vstack([nominal_fell, fell]).ravel()}
     return Sensitivity(policy, values, frame.assign(run=np.tile(np.arange(table.shape[1]), len(table)), **columns))

@@ -30,6 +30,7 @@ TASK = replace(TASK, commands=replace(TASK.commands, ramp=4))
 def test_by_default_the_robot_is_nominal_and_not_pushed():
     calm = replace(TASK.pushes, enabled=False, ramp=0, probability=1.0)
     plain = replace(TASK, randomize={}, randomize_ramp=0, pushes=calm, commands=replace(TASK.commands, ramp=0))
+    plain = replace(plain, physics_step=0.0)
     assert Condition(terrain=None).apply(TASK, ROBOT) == plain
     assert Condition().apply(TASK, ROBOT).terrain.ground == "flat"
     kept = Condition(terrain=None, curricula=True).apply(TASK, ROBOT)
@@ -78,6 +79,23 @@ def test_robots_with_commands_start_with_random_headings_on_terrain():
     assert Condition(terrain="slope:10").apply(load_task("trot", "go2")[0], ROBOT).terrain.heading == 0.0
     with pytest.raises(SurefootError, match="size is 9 m"):
         Condition(terrain="stairs:9").apply(TASK, ROBOT)
+
+
+def test_evaluations_have_the_data_sheets_step_of_physics():
+    task = load_task("steer", "go2")[0]
+    assert task.physics_step == 0.004
+    assert Condition("x").apply(task, RobotDescription.load("go2")).physics_step == 0.0
+
+
+def test_commands_of_a_condition_replace_those_of_the_task(tmp_path: Path):
+    task, go2 = load_task("steer", "go2")[0], RobotDescription.load("go2")
+    row = (0.1, 0.0, 0.0)
+    constant = Condition("x", command_rows=(row,)).apply(task, go2)
+    again = Condition("x", command_rows=(row, row)).apply(constant, go2)
+    assert (len(again.commands.each), again.commands.schedule) == (2, ())
+    (tmp_path / "walk.csv").write_text("time,forward,sideways,yaw_rate\n0,0.1,0,0\n")
+    scheduled = Condition("x", commands=tmp_path / "walk.csv").apply(constant, go2)
+    assert (len(scheduled.commands.schedule), scheduled.commands.each) == (1, ())
 
 
 def test_the_undisturbed_task_has_no_randomization_and_no_pushes():

@@ -90,7 +90,9 @@ def test_table_1_gives_ten_worlds_per_parameter(robot: RobotDescription):
     latency = [value for row, value, _ in worlds if row == LATENCY]
     assert np.allclose(latency, np.arange(10) * 0.04 / 9)
     assert latency[-1] == 0.04
-    assert {row_unit(row) for row, *_ in worlds} == {"", "N m", "s", "V", "rad"}
+    minitaur, go2 = RobotDescription.load("minitaur"), RobotDescription.load("go2")
+    assert {row_unit(row, minitaur) for row, *_ in worlds} == {"", "N m", "s", "V", "rad"}
+    assert (row_unit("servo_kp", minitaur), row_unit("servo_kp", go2)) == ("1/rad", "N m/rad")
 
 
 def test_worlds_are_evenly_spaced_and_include_the_ends(robot: RobotDescription):

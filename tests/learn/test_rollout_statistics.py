@@ -53,6 +53,15 @@ def test_metrics_of_two_control_steps():
     }
 
 
+def test_a_diverged_episode_has_no_speed():
+    statistics = RolloutStatistics(robots(commands=False))
+    ended = {"return": [5.0, 1.0], "steps": [50, 3], "distance": [2.0, 0.0], "duration": [4.0, 0.0]}
+    metrics = {name: np.array(column) for name, column in ended.items()}
+    statistics.add(np.zeros(2), {"figures": metrics, "_figures": np.array([True, True])})
+    summary = statistics.summarize()
+    assert (summary["episodes"], summary["speed_mean"]) == (2, 0.5)
+
+
 def test_an_episode_of_full_length_is_no_fall_and_none_has_no_mean():
     env = robots(commands=False)
     statistics = RolloutStatistics(env)

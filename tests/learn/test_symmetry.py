@@ -125,6 +125,14 @@ def trot_env() -> LocomotionEnv:
     return make_env(task)
 
 
+@pytest.mark.parametrize(("action", "name"), [("leg", "scratch"), ("joint", "trot"), ("angle", "scratch")])
+def test_the_last_action_is_mirrored_like_the_action(action: str, name: str):
+    task = replace(load_task(name, "go2")[0], action=action, observations=("roll", "last_action"))
+    mirror = MirrorSamples(LocomotionEnv(task, 1, SimWorld, threads=1))
+    ones = mirror.mirror("actions", torch.ones(1, 12))
+    assert torch.equal(mirror.mirror("policy", torch.ones(1, 13))[:, 1:], ones)
+
+
 def test_mirroring_twice_gives_the_sample(trot_env):
     mirror, generator = MirrorSamples(trot_env), torch.Generator().manual_seed(0)
     for group, width in (("policy", trot_env.single_observation_space.shape[0]), ("actions", 8)):

@@ -166,6 +166,19 @@ def test_a_task_with_a_reference_of_another_kind_than_its_base_drops_the_keys_of
         load(tmp_path, "base: trot\nrobot: go2\nreference: {kind: sine, foot: {height: 0.1}}\n")
 
 
+@pytest.mark.parametrize("robot", ["minitaur", "go2"])
+def test_ranges_are_added_to_the_table_of_the_base(tmp_path: Path, robot: str) -> None:
+    base = load_task("trot-robust", robot)[0].randomize
+    text = f"base: trot-robust\nrobot: {robot}\nrandomize: {{control_latency: [0.0, 0.01]}}\n"
+    assert load(tmp_path, text).randomize == {**base, "control_latency": (0.0, 0.01)}
+
+
+@pytest.mark.parametrize("robot", ["5", "[go2]", ""])
+def test_a_robot_that_is_no_text_is_rejected(tmp_path: Path, robot: str) -> None:
+    with pytest.raises(SurefootError, match=r"mine.yaml: robot is .*; it must be the name or folder of a robot"):
+        load(tmp_path, f"base: trot\nrobot: {robot}\n")
+
+
 def test_a_task_overrides_values_of_its_base(tmp_path: Path) -> None:
     base = load_task("trot", "go2")[0]
     changed = "base: trot\nrobot: go2\nreference: {foot: {height: 0.7}}\nmax_steps: 7\ntrain: {steps: 5}\n"

@@ -11,6 +11,7 @@ from references import read_reference
 
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
+from surefoot.task.periodic_references import SineReference, Wave
 from surefoot.task.reference import Feedforward, Reference
 
 ROBOT = RobotDescription.load("minitaur")
@@ -66,6 +67,16 @@ def test_sine_at_known_phases(time: float, sine: float):
     one = np.array([1, -1, -1, 1])
     np.testing.assert_allclose(swing, [0.3 * sine * one], atol=1e-12)
     np.testing.assert_allclose(extension, [2.0 + 0.35 * sine * one], atol=1e-12)
+
+
+@pytest.mark.parametrize(("frequencies", "period"), [((2.0, 3.0), 1.0), ((1.5, 1.5), 2 / 3), ((1.0, np.sqrt(2)), None)])
+def test_the_common_period_of_two_frequencies(frequencies: tuple[float, float], period: float | None):
+    legs = ("a", "b")
+    waves = {
+        name: Wave(np.ones(2), np.full(2, frequency), np.zeros(2), np.zeros(2))
+        for name, frequency in zip(("swing", "extension"), frequencies, strict=True)
+    }
+    assert SineReference(legs, waves).period == (None if period is None else pytest.approx(period))
 
 
 def test_extent_covers_every_leg():

@@ -88,6 +88,16 @@ def test_levels_follow_the_covered_distance():
     assert set(curriculum.level.tolist()) <= {0, 1, 2}
 
 
+def test_few_robots_are_spread_over_all_kinds_of_terrain():
+    few = TerrainCurriculum(FIELD, FIELD.build(0), 1, 0)
+    assert set(few.levels()) == {"stairs"}
+    config = replace(FIELD, columns=12)
+    tiles = config.build(0)
+    some = TerrainCurriculum(config, tiles, 4, 0)
+    assert len({tiles.kinds[column] for column in some.column}) == 2
+    assert some.column.tolist() == [0, 3, 6, 9]
+
+
 def test_the_curriculum_and_the_success_rate_use_the_same_distances(env):
     env.reset(seed=5)
     recorder = EpisodeRecorder(env, pushed=False)

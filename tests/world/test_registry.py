@@ -10,7 +10,7 @@ from surefoot.robot import PhysicalParams
 from surefoot.robot.params import PARAMETERS
 from surefoot.world import registry
 from surefoot.world.interface import WorldConfig
-from surefoot.world.registry import WORLDS, WorldEntry, check_takes_params, find_world, make_world
+from surefoot.world.registry import WORLDS, WorldEntry, check_randomized, check_takes_params, find_world, make_world
 
 
 @pytest.mark.parametrize("name", WORLDS)
@@ -48,6 +48,13 @@ def test_a_world_with_its_own_parameters_accepts_no_others():
 
 
 @pytest.mark.parametrize("name", sorted(name for name, declared in PARAMETERS.items() if declared.engines))
+def test_the_robots_of_an_ensemble_are_not_randomized():
+    with pytest.raises(SurefootError, match="world 'ensemble' has robots of its own, whose parameters can't be random"):
+        check_randomized("ensemble", {"voltage": (14.0, 15.0)})
+    check_randomized("ensemble", {})
+    check_randomized("mujoco", {"voltage": (14.0, 15.0)})
+
+
 def test_a_parameter_that_the_engine_does_not_model_is_rejected(make_world, name):
     world = make_world(2)
     with pytest.raises(SurefootError, match=f"{name} is 0.001; world mujoco does not model it: set 0, or use"):

@@ -375,6 +375,25 @@ def test_energy_of_a_control_step_sums_its_servo_steps(make_world, trot):
         assert coarse.truth().energy[0] == pytest.approx(total, rel=1e-12)
 
 
+def test_a_control_step_need_not_be_a_multiple_of_the_servo_step():
+    go2 = RobotDescription.load("go2")
+    sums = []
+    for ratio in (1.0, 0.5):
+        params = PhysicalParams.nominal(go2).with_values(go2, control_step=ratio * go2.timing.servo_step)
+        world, energy = SimWorld(go2, 1, params), 0.0
+        for k in range(round(200 / ratio)):
+            world.step(world.resting_angles + 0.2 * np.sin(0.1 * np.floor(k * ratio)))
+            energy += float(world.truth().energy[0])
+        sums.append(energy)
+    assert sums[1] == pytest.approx(sums[0], rel=0.02)
+    params = PhysicalParams.nominal(go2).with_values(go2, control_step=1.5 * go2.timing.servo_step)
+    world = SimWorld(go2, 1, params)
+    stand(world, 200)
+    for _ in range(4):
+        world.step(world.resting_angles)
+        assert np.all(world.truth().foot_contact == 1.0)
+
+
 def test_heat_integrates_currents_at_servo_rate(make_world, trot):
     # Up to 20 A, the torque table is increasing, so that the current follows from the torque; R = 0.186 Ohm.
     world = make_world(1, control_step=0.001, motor_strength=0.5)

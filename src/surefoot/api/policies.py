@@ -22,7 +22,7 @@ from surefoot.task.contract_mapping import task_from_contract
 from surefoot.task.handcrafted import HandcraftedGait
 from surefoot.task.policy_plugins import plugin_notes
 from surefoot.task.trace import EpisodeTrace
-from surefoot.world.registry import find_world
+from surefoot.world.registry import check_randomized, find_world
 
 if TYPE_CHECKING:
     from surefoot.evaluation.rollout import Controller
@@ -167,9 +167,13 @@ def run_policy(
         threads: threads of the simulation; 0: one per core.
         name: name of the policy in the traces.
         title: title of the progress bar; defaults to the name.
+
+    Raises:
+        SurefootError: the world's robots can't be randomized.
     """
     from surefoot.evaluation.rollout import run_episodes
 
+    check_randomized(world, task.randomize)
     with ProgressBar(title or name) as bar:
         return run_episodes(
             policy, task, episodes, find_world(world), seed, threads, bar.advance, world_name=world, policy_name=name

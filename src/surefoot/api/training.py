@@ -21,7 +21,7 @@ from surefoot.learn.config import LoggerName, TrainConfig
 from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
-from surefoot.world.registry import find_world
+from surefoot.world.registry import check_randomized, find_world
 
 if TYPE_CHECKING:
     from surefoot.learn.evaluation import TrainingEvaluation
@@ -44,7 +44,10 @@ def check_config(config: TrainConfig) -> None:
     from surefoot.robot.mirror import is_symmetric
     from surefoot.task.env import LocomotionEnv
 
+    check_randomized(config.world, config.task.randomize)
     env = LocomotionEnv(config.task, 1, find_world(config.world), threads=1)
+    if config.evaluation_reward:
+        LocomotionEnv(replace(config.task, reward=config.evaluation_reward), 1, find_world(config.world), threads=1)
     if config.ppo.symmetry and is_symmetric(env.robot):
         from surefoot.learn.symmetry import MirrorSamples
 

@@ -151,7 +151,7 @@ def _print_tables(results: list[Sensitivity], files: list[Path], unit: str) -> N
 
     `unit` is the unit of returns.
     """
-    from surefoot.evaluation.sensitivity import find_gait_limits, row_unit
+    from surefoot.evaluation.sensitivity import find_gait_limits
     from surefoot.tables import print_files, print_table, with_unit
 
     policies, rows = [], []
@@ -172,7 +172,7 @@ def _print_tables(results: list[Sensitivity], files: list[Path], unit: str) -> N
             rows.append(
                 {
                     "policy": result.policy,
-                    "parameter": with_unit(row, row_unit(row)),
+                    "parameter": with_unit(row, result.unit(row)),
                     "range": f"{worlds.value.iloc[0]:.3g} to {worlds.value.iloc[-1]:.3g}",
                     with_unit("worst return", unit): f"{worst.return_mean:.2f}",
                     "at": f"{worst.value:.3g}",

@@ -100,14 +100,15 @@ class Condition:
         if self.commands is not None:
             if not commands.enabled:
                 raise SurefootError(f"--commands is given; task '{task.name}' has no commands to follow")
-            commands = replace(commands, schedule=read_schedule(self.commands))
+            commands = replace(commands, schedule=read_schedule(self.commands), each=())
         if self.command_rows:
-            commands = replace(commands, each=self.command_rows)
+            commands = replace(commands, each=self.command_rows, schedule=())
         pushes = self.pushes
         if not isinstance(pushes, PushConfig):
             pushes = task.pushes.for_evaluation(pushes, self.push_force)
         ramp = task.randomize_ramp if self.curricula else 0
         task = replace(task, randomize=self.randomize, randomize_ramp=ramp, pushes=pushes, commands=commands)
+        task = replace(task, physics_step=0.0)  # the data sheet's
         if self.terrain is not None:
             task = on_terrain(task, self.terrain)
         if self.duration is not None or self.same_duration:

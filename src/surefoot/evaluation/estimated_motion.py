@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from surefoot.arrays import Array
+from surefoot.configuration import is_number
+from surefoot.errors import SurefootError, quote
 from surefoot.estimation.interface import MotionReadings, VelocityEstimator
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.robot import RobotDescription
@@ -73,9 +75,11 @@ def torque_delay(trace: EpisodeTrace, robot: RobotDescription) -> float:
     Simulations know it. For a robot it is the one of `TORQUE_DELAYS` with which feet stand most: with torques of
     another time, the feet that carry weight contradict each other.
     """
-    known: float | None = trace.meta["params"].get("control_latency")
+    known = trace.meta["params"].get("control_latency")
     if known is not None:
-        return known
+        if not is_number(known) or known < 0:
+            raise SurefootError(f"a trace has the control_latency {quote(known)}; it must be a number of 0 or more")
+        return float(known)
     motions = _estimate([trace] * len(TORQUE_DELAYS), TORQUE_DELAYS, robot, LeggedOdometry)
     return TORQUE_DELAYS[int(np.argmax([motion.contact.mean() for motion in motions]))]
 

@@ -28,7 +28,7 @@ class Controller(Protocol):
     """A policy, such as a `PolicyRuntime`."""
 
     def feedback(self, observation: ArrayLike) -> Array:
-        """Return leg-space feedback (N, 2 L) [rad] for observations (N, O * history)."""
+        """Return actions (N, A), in the units of the policy's action columns, for observations (N, O * history)."""
         ...
 
 

@@ -73,6 +73,10 @@ class Sensitivity:
         }
         return groups.agg(**columns).reset_index()
 
+    def unit(self, row: str) -> str:
+        """Return the unit of a row's values; empty for ratios."""
+        return str(self.tests.unit[self.tests.row == row].iloc[0])
+
     def of_row(self, row: str) -> pd.DataFrame:
         """Return the test worlds of a row, by increasing value."""
         return self.worlds[self.worlds.row == row]
@@ -132,11 +136,11 @@ def make_test_worlds(
     ]
 
 
-def row_unit(row: str) -> str:
-    """Return the unit of a row's values; empty for ratios."""
+def row_unit(row: str, robot: RobotDescription) -> str:
+    """Return the unit of a row's values for a robot; empty for ratios."""
     if row == PUSH_FORCE:
         return "N"
-    unit = PARAMETERS[row].unit
+    unit = PARAMETERS[row].unit_for(robot)
     return "" if unit == "1" else unit
 
 
@@ -229,7 +233,7 @@ def run_sensitivity(
 
         parts.append(run_to_end(act, env, env.reset()[0], steps, report)[episodes if first else 0 :])
     runs = pd.concat(parts, ignore_index=True)
-    places = [(NOMINAL, "", np.nan), *((row, row_unit(row), value) for row, value, _ in worlds)]
+    places = [(NOMINAL, "", np.nan), *((row, row_unit(row, robot), value) for row, value, _ in worlds)]
     table = pd.DataFrame([place for place in places for _ in range(episodes)], columns=["row", "unit", "value"])
     # A diverged simulation counts as a fall: the policy drove the robot to a state in which the model is not valid.
     results = {"return": runs["return"], "speed": runs.speed, "fell": ~runs.balanced}
@@ -264,8 +268,8 @@ def _share_streams(env: LocomotionEnv, episodes: int) -> None:
         return [streams[first + i % episodes] for first in range(0, len(streams), robots) for i in range(robots)]
 
     state["world"]["streams"] = shared(state["world"]["streams"])
-    if "push_streams" in state:
-        state["push_streams"] = shared(state["push_streams"])
+    for name in [name for name in state if name.endswith("_streams")]:
+        state[name] = shared(state[name])
     env.set_state(state)
 
 

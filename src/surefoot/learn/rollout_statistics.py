@@ -89,12 +89,13 @@ class RolloutStatistics:
         """Return the fields of `UpdateMetrics` that describe the rollout."""
         env = self._env
         returns, lengths, distances, durations = np.concatenate(self._episodes, axis=1)
+        whole = durations > 0  # episodes that did not end by a divergence
         rmse = map(float, np.sqrt(self._squared_errors / self._count))
         return {
             "episodes": len(returns),
             "falls": int(np.sum(lengths < env.task.max_steps)),
             "return_mean": float(np.mean(returns)) if len(returns) else float("nan"),
-            "speed_mean": float(np.mean(distances / durations)) if len(returns) else float("nan"),
+            "speed_mean": float(np.mean(distances[whole] / durations[whole])) if whole.any() else float("nan"),
             "reward_rate": self._reward / self._count,
             "divergences": env.world.divergences,
             "reward": {name: total / self._seconds for name, total in self._terms.items()},

@@ -20,11 +20,11 @@ from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
 
 _SIGN_FLIPPED_COLUMNS = (
-    *("roll", "roll_rate", "yaw", "yaw_rate", "velocity_y", "base_velocity_y", "gravity_y", "push_y", "imu_bias.roll"),
-    *("command_sideways", "command_yaw_rate", "heading_error", "foothold_y"),
+    *("roll", "roll_rate", "yaw_rate", "base_velocity_y", "gravity_y"),
+    *("command_sideways", "command_yaw_rate", "foothold_y"),
 )
 """Columns, or prefixes of columns before a point, that change sign in the mirror image."""
-_ANGLE_COLUMNS = ("angle", "speed", "joint", "last_joint")
+_ANGLE_COLUMNS = ("angle", "last_angle", "speed", "joint", "last_joint")
 """Prefixes of motor columns that change sign in the mirror image together with the motor angle."""
 _PHASE = ("phase_sin", "phase_cos")
 _LEG_SPACE_GAIN = 4.0

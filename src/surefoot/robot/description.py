@@ -310,7 +310,11 @@ class RobotDescription:
         if len(coordinates) != len(self.coordinates):
             rule = f"legs of {self.name} have {choices(self.coordinates)}"
             raise SurefootError(f"a pose has {len(coordinates)} numbers; {rule}")
-        *values, _ = np.broadcast_arrays(*coordinates, np.zeros(len(self.legs)))
+        legs = len(self.legs)
+        for name, values in zip(self.coordinates, coordinates, strict=True):
+            if np.ndim(values) and np.shape(values)[-1] not in (1, legs):
+                raise SurefootError(f"{name} of a pose has {np.shape(values)[-1]} numbers; {self.name} has {legs} legs")
+        *values, _ = np.broadcast_arrays(*coordinates, np.zeros(legs))
         return self.to_motors(np.stack(values, axis=-2))
 
     def angle_extent(self, *ranges: Range) -> tuple[Array, Array]:

@@ -217,6 +217,8 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
     elif isinstance(data.get("robot"), str):
         data["robot"] = RobotDescription.resolve(data["robot"], path.parent)
     with prefix_errors(path):
+        if not isinstance(data.get("robot", DEFAULT_ROBOT), str):
+            raise SurefootError(f"robot is {quote(data['robot'])}; it must be the name or folder of a robot")
         config = from_mapping(
             TaskConfig, {"name": path.stem, **resolve_table(data, path.parent, data.get("robot", DEFAULT_ROBOT))}
         )
@@ -244,6 +246,8 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     base_data, reference = _with_base(read_yaml(files[base]), files[base]), data.get("reference")
     if isinstance(reference, dict) and "kind" in reference:
         base_data["reference"] = keys_of_kind(REFERENCES, base_data.get("reference", {}), reference["kind"])
+    if isinstance(table := base_data.get("randomize"), str) and data.get("randomize"):
+        base_data["randomize"] = {"table": table}  # ranges are added to those of a table
     return _merge_tables(base_data, data)
 
 

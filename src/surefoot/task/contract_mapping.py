@@ -168,8 +168,9 @@ def task_from_contract(contract: Contract, robot: RobotDescription | None = None
         rest=contract.rest,
         commands=_commands(contract, task.commands),
         params=task.params | _assumed_params(contract, robot),
-        # The terrain of the training is not the terrain on which the policy runs.
+        # Neither the terrain of the training nor its step of physics are those in which the policy runs.
         terrain=TerrainConfig(scan=scan),
+        physics_step=0.0,
     )
 
 

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices
@@ -47,6 +49,10 @@ class Wave:
         return {name: dict(zip(legs, values.tolist(), strict=True)) for name, values in vars(self).items()}
 
 
+_MAX_CYCLES = 12
+"""Maximum number of cycles of the slowest sinusoid in a common period."""
+
+
 @dataclass(frozen=True)
 class SineReference(Reference):
     """Sinusoids in leg space, one per coordinate and leg."""
@@ -57,14 +63,16 @@ class SineReference(Reference):
 
     @property
     def period(self) -> float | None:
-        """Period [s], or None if the reference does not move or has no common period."""
+        """Period [s], or None if the reference does not move or has no common period of `_MAX_CYCLES` or fewer."""
         moving = [wave.frequency[wave.amplitude != 0] for wave in self.waves.values()]
         frequencies = np.unique(np.abs(np.concatenate(moving)))
         frequencies = frequencies[frequencies > 0]
         if len(frequencies) == 0:
             return None
-        ratios = frequencies / frequencies[0]
-        return float(1 / frequencies[0]) if np.allclose(ratios, np.round(ratios)) else None
+        ratios = [Fraction(ratio).limit_denominator(_MAX_CYCLES) for ratio in (frequencies / frequencies[0]).tolist()]
+        if not np.allclose(frequencies / frequencies[0], list(map(float, ratios))):
+            return None
+        return math.lcm(*(ratio.denominator for ratio in ratios)) / float(frequencies[0])
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
         """Return the leg poses (N, C, L) at times (N,) [s] since the episode's start; commands have no effect."""
@@ -150,6 +158,12 @@ class TableReference(Reference):
         return {"kind": "table", "period": self.period, "rows": rows}
 
 
+def _column(name: str, values: NDArray[Any]) -> Array:
+    if values.ndim > 1 or values.dtype.kind not in "biuf":
+        raise ValueError(f"{name} has shape {values.shape} and type {values.dtype}; it must be a row of numbers")
+    return np.atleast_1d(values).astype(float)
+
+
 def read_columns(path: Path, names: list[str]) -> list[Array]:
     """Read the named columns of a CSV or NPZ file.
 
@@ -161,7 +175,7 @@ def read_columns(path: Path, names: list[str]) -> list[Array]:
         raise SurefootError(f"{path}: is not a .csv or .npz file; {rule}")
     try:
         if path.suffix == ".npz":
-            table = {name: np.atleast_1d(values).astype(float) for name, values in read_npz(path).items()}
+            table = {name: _column(name, values) for name, values in read_npz(path).items() if name in names}
         else:
             check_readable(path)
             read = np.genfromtxt(path, delimiter=",", names=True, dtype=float)

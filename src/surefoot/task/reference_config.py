@@ -258,4 +258,6 @@ def _lead_units(robot: RobotDescription, params: PhysicalParams | None) -> dict[
     """Return the units of relative feedforward gains: k_d / k_p, rotor inertia / k_p, m g / k_p; means over motors."""
     params = PhysicalParams.nominal(robot) if params is None else params
     kp, kd, inertia = (float(np.mean(one[0])) for one in (params.servo_kp, params.servo_kd, params.rotor_inertia))
+    if not kp > 0:
+        raise SurefootError(f"reference.relative needs a servo_kp over 0, by which its gains are scaled; it is {kp:g}")
     return {"velocity": kd / kp, "acceleration": inertia / kp, "weight": robot.weight / kp}

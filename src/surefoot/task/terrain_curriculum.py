@@ -42,7 +42,8 @@ class TerrainCurriculum(Component):
         self._streams = generators(seed, "terrain", num_envs)
         self.level = np.array([stream.integers(config.start_level + 1) for stream in self._streams])
         # Kinds of terrain are spread evenly over any number of robots.
-        self.column = np.arange(num_envs) % len(tiles.kinds)
+        columns, robots = len(tiles.kinds), np.arange(num_envs)
+        self.column = robots * columns // num_envs if num_envs < columns else robots % columns
         self.commanded, self.covered = np.zeros((2, num_envs))
         self.led = np.zeros((num_envs, 2))
         """Displacement since the start if the commands had been followed exactly (N, 2) [m], in the world frame."""
@@ -105,9 +106,9 @@ class TerrainCurriculum(Component):
         self.led += in_heading_frame(displacement, -yaw)[:, :2]
 
     def levels(self) -> Mapping[str, float]:
-        """Return the mean level of the robots on each kind of terrain."""
+        """Return the mean level of the robots on each kind of terrain that has any."""
         kinds = np.array(self.tiles.kinds)[self.column]
-        return {name: float(self.level[kinds == name].mean()) for name in dict.fromkeys(self.tiles.kinds)}
+        return {name: float(self.level[kinds == name].mean()) for name in dict.fromkeys(kinds.tolist())}
 
 
 class EpisodeStarts(Component):

@@ -122,6 +122,19 @@ def make_world(
     return world
 
 
+def check_randomized(name: str, randomize: Mapping[str, Any]) -> None:
+    """Reject randomization in a world whose robots have their own parameters, which it would replace.
+
+    Raises:
+        SurefootError: the world has such robots, and `randomize` is not empty.
+    """
+    if randomize and find_entry(name).seeds is not None:
+        raise SurefootError(
+            f"world '{name}' has robots of its own, whose parameters can't be randomized; leave out --randomize, or "
+            "take the world bullet"
+        )
+
+
 def check_takes_params(name: str) -> None:
     """Raise a `SurefootError` for a world whose robots have their own parameters. See `find_entry` for other errors."""
     if find_entry(name).seeds is not None:

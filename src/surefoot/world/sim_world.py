@@ -33,6 +33,9 @@ _RESET_ARRAYS = (
     *("limit_ticks", "filtered_speed", "friction_stretch"),
 )
 
+_SUMMED_ARRAYS = ("energy", "heat", "contact_ticks", "limit_ticks")
+"""Quantities that are summed over the servo steps of a control step."""
+
 
 def check_batch(num_envs: int, params: PhysicalParams | None) -> None:
     """Raise a `SurefootError` for a world without robots, or parameters of another number of robots."""
@@ -182,7 +185,12 @@ class SimWorld:
         finite = np.isfinite(self.actuation.target)
         if not finite.all():
             self.engine.diverged |= ~finite.all(axis=1)
-        self.engine.advance((np.round(self._control_steps * period) - before).astype(np.int64))
+        servo_steps = (np.round(self._control_steps * period) - before).astype(np.int64)
+        # Nothing happens in a control step without a servo step.
+        idle = servo_steps == 0 if active is None else (servo_steps == 0) & active
+        for name in _SUMMED_ARRAYS if idle.any() else ():
+            getattr(self.actuation, name)[idle] = 0.0
+        self.engine.advance(servo_steps)
         self._diverged = self.engine.diverged.copy()
         if self._diverged.any():
             rows = np.flatnonzero(self._diverged)
@@ -223,7 +231,8 @@ class SimWorld:
         """Return the true state, with energy, heat and contacts over the last control step."""
         base, motors = self.engine.base(), self.robot.num_motors
         now = self.actuation.sample
-        ticks = np.maximum(np.round(self.params.control_step / self.robot.timing.servo_step), 1)
+        period, count = self.params.control_step / self.robot.timing.servo_step, self._control_steps
+        ticks = np.maximum(np.round(count * period) - np.round((count - 1) * period), 1)  # as in `step`
         return SimState(
             base_position_world=base[:, :3],
             base_quat_world=base[:, 3:7],

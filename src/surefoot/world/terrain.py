@@ -235,7 +235,7 @@ def read_map(path: Path) -> Ground:
         if missing := {"heights", "cell"} - set(arrays):
             raise SurefootError(f"{path}: {choices(sorted(missing))} is missing; a map has heights (X, Y) and cell")
         heights, step = np.asarray(arrays["heights"]), np.asarray(arrays["cell"])
-        if step.size != 1 or not np.issubdtype(step.dtype, np.number) or not np.issubdtype(heights.dtype, np.number):
+        if step.size != 1 or step.dtype.kind not in "iuf" or heights.dtype.kind not in "iuf":
             raise SurefootError(f"{path}: heights and cell must be numbers")
         heights, cell = heights.astype(float), float(step.reshape(()))
     if heights.ndim != 2 or min(heights.shape) < 2 or heights.size > MAX_POINTS:

@@ -10,7 +10,7 @@ import numpy as np
 
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
-from surefoot.evaluation.sensitivity import Sensitivity, row_unit
+from surefoot.evaluation.sensitivity import Sensitivity
 from surefoot.report.figures.style import (
     INK,
     MARKERS,
@@ -65,9 +65,9 @@ def parameter_figure(
         right.set_title("Episodes with a fall (%)")
         right.set_ylim(-3.0, 103.0)
         for ax in (left, right):
-            ax.set_xlabel(_titled(row))
+            ax.set_xlabel(_titled(row, groups))
         figure.legend(*left.get_legend_handles_labels(), loc="outside lower center", ncols=5)
-        heading(figure, f"{_titled(row)}; {_BAND}")
+        heading(figure, f"{_titled(row, groups)}; {_BAND}")
     return Path(path)
 
 
@@ -79,7 +79,7 @@ def parameters_figure(groups: Groups, path: str | Path) -> Path:
     with new_figure(path, (2.7 * columns, 0.9 + 2.3 * lines), rows=lines, columns=columns) as (figure, axes):
         for ax, row in zip(axes, rows, strict=False):
             _returns(ax, groups, row)
-            ax.set_title(_titled(row))
+            ax.set_title(_titled(row, groups))
             ax.locator_params(axis="x", nbins=4)
         low, high = zip(*(ax.get_ylim() for ax in axes[: len(rows)]), strict=True)
         for number, ax in enumerate(axes):
@@ -148,6 +148,7 @@ def _training(ax: Axes, result: Sensitivity, row: str, number: int, trained: tup
         ax.axvline(value, color=color, linewidth=1.0, linestyle=(2 * number, (4, 6)), zorder=0.5)
 
 
-def _titled(row: str) -> str:
+def _titled(row: str, groups: Groups) -> str:
     """Return a parameter's name and unit as a title."""
-    return with_unit(capitalize_first(humanize(row)), row_unit(row))
+    unit = next(one.unit(row) for results in groups.values() for one in results if row in one.rows)
+    return with_unit(capitalize_first(humanize(row)), unit)

@@ -29,6 +29,7 @@ _STYLE: dict[str, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "text.color": INK,
+    "text.parse_math": False,  # names from files may have a $
     "axes.titlesize": 10.0,
     "axes.titlelocation": "left",
     "axes.titlepad": 8.0,
