@@ -14,9 +14,8 @@ from surefoot.rotations import in_heading_frame, quat_yaw
 from surefoot.tables import plain_value
 from surefoot.task.command_tracking import is_success, step_distances
 from surefoot.task.trace import EpisodeTrace
+from surefoot.task.velocity_tracking import DEFAULT_STRIDE
 
-DEFAULT_STRIDE_PERIOD = 0.5
-"""Averaging time [s] if the gait has no period."""
 GRID_SIZE = 7
 """Number of commands along each side of a grid."""
 SETTLING_TIME = 1.0
@@ -47,7 +46,7 @@ class Tracking:
         for trace in traces:
             errors, settled = measured_velocity(trace) - trace.command, settled_mask(trace)
             steps.append(errors[settled])
-            period = stride or trace.meta["gait_period"] or DEFAULT_STRIDE_PERIOD
+            period = stride or trace.meta["gait_period"] or DEFAULT_STRIDE
             count = max(round(period / trace.meta["control_step"]), 1)
             if len(errors) >= count:
                 complete = np.lib.stride_tricks.sliding_window_view(settled, count).all(axis=-1)

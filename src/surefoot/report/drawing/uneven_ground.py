@@ -112,7 +112,7 @@ def _line_fraction(x: float, y: float, reach_x: float, reach_y: float, edges: An
 
 @compiled
 def _level(x: float, y: float, course: Any, grid: Any) -> float:
-    """Return the height of the ground slope at a position, as `Ground.level` does."""
+    """Return the height of the ground slope at a position, as `Ground.smooth_height` does."""
     place_x = min(max((x - grid[0]) / grid[2] - 0.5, 0.0), len(course) - 1.001)
     place_y = min(max((y - grid[1]) / grid[2] - 0.5, 0.0), course.shape[1] - 1.001)
     i, j = int(place_x), int(place_y)
