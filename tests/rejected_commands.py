@@ -202,7 +202,7 @@ FILES: dict[str, str | Callable[[Path, MakeRun], object]] = {
 
 PARAMS_FILES = {
     "cat.toml": "cat.toml: has parameters of robot 'cat', not of 'minitaur'",
-    "range.toml": "motor_strength is 9; minitaur allows 0 to 2",
+    "range.toml": "motor_strength is 9; minitaur allows 0 to 4",
     "short.toml": "motor_strength has shape (2,); it must fit (1, 8)",
     "step.toml": "control_step is 0.008, and the task's is 0.006",
     "no.toml": "no.toml: can't be read: No such",
@@ -309,7 +309,7 @@ REJECTED_COMMANDS = [
             "trot --set strength=1": (
                 "'strength' is not a physical parameter; did you mean motor_strength? choices: base_mass"
             ),
-            "trot --set motor_strength=9": "motor_strength is 9; minitaur allows 0 to 2",
+            "trot --set motor_strength=9": "motor_strength is 9; minitaur allows 0 to 4",
             "trot --set motor_strength=much": "sets no number",
             "trot --world moon": "world 'moon' does not exist; choices: mujoco",
             "trot --robot spot": "robot 'spot': no such robot",
@@ -381,7 +381,7 @@ REJECTED_COMMANDS = [
             "gallop --from moon --to mujoco": "world 'moon' does not exist",
             "gallop --to mujoco --episodes 0": "episodes is 0; it must be 1 or more",
             "gallop --to mujoco --to-set strength=1": "'strength' is not a physical parameter",
-            "gallop --to mujoco --from-set motor_strength=9": "motor_strength is 9; minitaur allows 0 to 2",
+            "gallop --to mujoco --from-set motor_strength=9": "motor_strength is 9; minitaur allows 0 to 4",
             "gallop --to mujoco --out /dev/null/gap": "/dev/null",
             "gallop --to trace nowhere": "trace folder nowhere does not exist",
             "gallop --to trace mine --to-set voltage=15": "--to-set is given, but nothing is simulated",

@@ -33,7 +33,7 @@ def test_firmware_compiles_and_runs_the_emulated_robot(tmp_path, capsys):
     [
         (None, 0, "pass      back_left_1_motor     a duty of -0.05 turned it by -0."),
         ("flip-sign=3", 3, "the wrong direction"),
-        ("swap-motors=2", 3, "and back_left_2_motor by -1."),
+        ("swap-motors=2", 3, "and back_left_2_motor by -0."),
     ],
 )
 def test_one_motor_is_turned_without_the_servo(fault, code, text, capsys):

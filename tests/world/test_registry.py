@@ -47,7 +47,6 @@ def test_a_world_with_its_own_parameters_accepts_no_others():
         check_takes_params("ensemble")
 
 
-@pytest.mark.parametrize("name", sorted(name for name, declared in PARAMETERS.items() if declared.engines))
 def test_the_robots_of_an_ensemble_are_not_randomized():
     with pytest.raises(SurefootError, match="world 'ensemble' has robots of its own, whose parameters can't be random"):
         check_randomized("ensemble", {"voltage": (14.0, 15.0)})
@@ -55,6 +54,7 @@ def test_the_robots_of_an_ensemble_are_not_randomized():
     check_randomized("mujoco", {"voltage": (14.0, 15.0)})
 
 
+@pytest.mark.parametrize("name", sorted(name for name, declared in PARAMETERS.items() if declared.engines))
 def test_a_parameter_that_the_engine_does_not_model_is_rejected(make_world, name):
     world = make_world(2)
     with pytest.raises(SurefootError, match=f"{name} is 0.001; world mujoco does not model it: set 0, or use"):

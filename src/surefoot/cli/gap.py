@@ -82,7 +82,6 @@ def _check_sides(command: GapCommand, home: Side, away: Sequence[Side]) -> None:
         ("--terrain", command.terrain != "flat", [home, *away]),
         ("--episodes", command.episodes != GapCommand.episodes, [home, *away]),
         ("--seed", command.seed != GapCommand.seed, [home, *away]),
-        ("--threads", command.threads != GapCommand.threads, [home, *away]),
     ):
         if value and not any(isinstance(side, str) for side in sides):
             raise SurefootError(f"{option} is given, but nothing is simulated on its side: {_text(sides[0])}")

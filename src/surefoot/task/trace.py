@@ -239,8 +239,9 @@ class EpisodeTrace:
 
     @property
     def duration(self) -> float:
-        """Duration of the episode [s]."""
-        return float(self.time[-1])
+        """Duration of the episode [s]; an imported log may begin at any time."""
+        start = self.time[0] - self.meta["control_step"] if self.is_imported else 0.0
+        return float(self.time[-1] - start)
 
     @property
     def fell(self) -> bool:

@@ -53,12 +53,15 @@ def try_duty(
             break
     else:
         return CheckResult(name, False, "the motors do not come to rest", "let the legs hang still")
-    moved_enough = False
+    moved, moved_enough = np.zeros(robot.num_motors), False
 
     def compute(k: int, state: State, missed: int) -> Array:
-        nonlocal moved_enough
+        nonlocal moved, moved_enough
+        # The largest motion of each motor: afterwards legs swing back.
+        motion = state.motor_angle - start
+        moved = np.where(np.abs(motion) > np.abs(moved), motion, moved)
         # Of any motor: if two motors are exchanged, the other one turns.
-        moved_enough = moved_enough or bool((np.abs(state.motor_angle - start) > MAX_MOTION).any())
+        moved_enough = moved_enough or bool((np.abs(motion) > MAX_MOTION).any())
         values = np.zeros(robot.num_motors)
         values[motor] = 0.0 if moved_enough or k >= steps else duty
         return values
@@ -71,7 +74,6 @@ def try_duty(
         runner.release(damp=True)
     if verdict.act is not Act.GO:
         return CheckResult(name, False, verdict.text, "fix this, and try again")
-    moved = runner.state.motor_angle - start
     motion, farthest = float(moved[motor]), int(np.argmax(np.abs(moved)))
     message = f"a duty of {duty:g} turned it by {motion:.3f} rad"
     if abs(moved[farthest]) >= MIN_MOTION and farthest != motor:

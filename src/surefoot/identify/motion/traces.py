@@ -62,7 +62,7 @@ def trace_from_motion(motion: RecordedMotion, robot: RobotDescription) -> Episod
     power = np.abs(np.sum(motion.motor_torque * motion.motor_velocity, axis=1))
     with prefix_errors(f"log {motion.name}"):
         return EpisodeTrace(
-            time=motion.time - motion.time[:1],
+            time=motion.time,
             roll_pitch_yaw=motion.roll_pitch_yaw,
             angular_velocity_base=motion.angular_velocity_base,
             motor_angle=motion.motor_angle,
