@@ -107,7 +107,7 @@ def main(argv: list[str]) -> int:
     from surefoot.api.policies import find_policy, open_policy
     from surefoot.check_result import first_failure
     from surefoot.deploy.checks import check_contract, check_map
-    from surefoot.deploy.command_sources import ChannelCommands, CommandSource, open_commands
+    from surefoot.deploy.command_sources import KEYBOARD, ChannelCommands, CommandSource, open_commands
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
     from surefoot.deploy.display import open_display
@@ -136,8 +136,9 @@ def main(argv: list[str]) -> int:
         if command.commands is not None:
             if contract.commands is None:
                 raise SurefootError(f"--commands is given; policy '{contract.name}' follows no commands")
-            commands = open_commands(command.commands, contract.commands)
-            stack.callback(commands.close)
+            if command.commands != KEYBOARD:
+                commands = open_commands(command.commands, contract.commands)
+                stack.callback(commands.close)
         if command.browser:
             from surefoot.cli.helpers.deploy_page import DeployPage
 
@@ -149,15 +150,20 @@ def main(argv: list[str]) -> int:
             stop.sources.append(page.stops)
             print(f"{page.address}   (Ctrl-C: the robot sits down)", file=sys.stderr, flush=True)
             commands = channel if contract.commands is not None else None
-        else:
-            monitor = open_display(title)
-        stack.callback(monitor.close)
+            stack.callback(page.close)
         # After all that can be rejected, as a Go2 lies down when its controller is released. Until the link is open,
         # Ctrl-C ends the command.
         link = command.open_link(robot, contract, may_ask=not command.dry_run)
         unused = stack.enter_context(contextlib.ExitStack())
         unused.callback(link.close)
         stack.enter_context(stop)
+        # What takes the terminal comes after the questions there.
+        if command.commands == KEYBOARD and contract.commands is not None:
+            commands = open_commands(KEYBOARD, contract.commands)
+            stack.callback(commands.close)
+        if not command.browser:
+            monitor = open_display(title)
+            stack.callback(monitor.close)
         maps = None
         if command.height_map is not None and contract.height_map is not None:
             maps = MapChannel(command.height_map, contract.height_map, link.clock.now)
@@ -167,7 +173,7 @@ def main(argv: list[str]) -> int:
         stack.callback(deployment.close)
         for result in link.preliminary_checks:
             if result.passed is None:
-                monitor.warn(f"{result.name} was not checked: {result.message}; {result.remedy}")
+                monitor.warn(f"{result.name}: {result.message}; {result.remedy}")
         if not command.lockstep:
             stack.enter_context(real_time_priority())
         deployment.connect(check)

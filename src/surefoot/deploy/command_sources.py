@@ -192,13 +192,17 @@ class GamepadCommands:
         os.close(self._file)
 
 
+KEYBOARD = "keyboard"
+"""Source that takes the terminal's keys."""
+
+
 def open_commands(source: str, limits: CommandLimits) -> CommandSource:
     """Open the source named by `--commands`: `keyboard`, `gamepad`, a port number, or the path of a file.
 
     Raises:
         SurefootError: the source cannot be opened.
     """
-    if source == "keyboard":
+    if source == KEYBOARD:
         return KeyboardCommands(limits)
     if source == "gamepad":
         return GamepadCommands(limits)

@@ -16,7 +16,7 @@ pytest.importorskip("numba")  # the toy robot runs the emulator's firmware
 
 from surefoot.api.policies import find_policy
 from surefoot.check_result import CheckResult
-from surefoot.deploy.doctor import rack_check
+from surefoot.deploy.doctor import rack_check, tilt_check
 from surefoot.deploy.doctor.doctor_motion import DoctorMotion, MotionStoppedError
 from surefoot.deploy.doctor.examination import check_computer, examine, time_inference
 from surefoot.deploy.doctor.link_check import LinkMetrics, check_link, clock_rate, measure_bursts, measure_link
@@ -544,6 +544,20 @@ def test_a_robot_with_the_latency_of_training_passes_all_checks(
     assert all(by_name[name].passed for name in rack_check.NAMES)
     assert by_name["control latency"].value == pytest.approx(0.018, abs=0.004)
     assert toy.firmware.mode == Mode.DISARMED
+
+
+@pytest.mark.parametrize(("factor", "moves"), [(0.1, True), (2.0, False)])
+def test_weaker_servos_than_the_policys_may_move_on_the_rack_only(
+    factor: float, moves: bool, link: RobotLink, robot: RobotDescription, policy: PolicyRuntime, toy: Any
+):
+    handshake = toy.firmware.handshake
+    gains = {name: factor * getattr(handshake, name) for name in ("servo_kp", "servo_kd")}
+    toy.firmware.handshake = replace(handshake, **gains)
+    toy.sensors = delayed(0.018)
+    results = {one.name: one for one in examine(link, policy, robot, on_rack=True, on_ground=True, **QUICK)}
+    assert results["servo gains"].passed is False
+    assert (results[rack_check.NAMES[0]].passed is not None) is moves
+    assert results[tilt_check.NAMES[0]].passed is None
 
 
 def test_a_lost_link_ends_the_checks_with_a_failure(

@@ -23,7 +23,7 @@ from surefoot.robot import RobotDescription
 from surefoot.stop_signals import StopSignals
 
 SETTLE_TIME, TILT_TIME = 0.6, 0.8
-"""Time to stand up, to settle, and to move into a tilt [s]."""
+"""Time to settle, and to move into a tilt [s]."""
 MAX_ERROR = 0.8
 """Maximum deviation of a motor from its target [rad]; legs that carry the robot yield by some 0.2 rad."""
 MIN_TILT = 0.03
