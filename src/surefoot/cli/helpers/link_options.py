@@ -49,7 +49,7 @@ class LinkOptions(SerialOptions):
     release: bool = False
     """Let a Go2 lie down and release its own controller without asking for confirmation."""
     hand_back: bool = False
-    """Activate a Go2's own controller again at the end."""
+    """Activate a Go2's own controller again at the end, if it lies still and its motors were not damped."""
 
     @property
     def address(self) -> str:
