@@ -90,8 +90,8 @@ def _motor(argv: list[str]) -> int:
         with StopSignals() as operator:
             handshake = link.connect()
             # Signs and servo period may be wrong: this command is for the time before the servo works.
-            known = [result for result in check_handshake(handshake, robot) if result.name in ("robot", "motors")]
-            if (error := first_failure(known)) is not None:
+            needed = [result for result in check_handshake(handshake, robot) if result.name in ("robot", "motors")]
+            if (error := first_failure(needed)) is not None:
                 raise SurefootError(f"no motor is turned: {error}")
             link.wait_for(lambda: link.state is not None, 1.0)
             number = robot.motor_names.index(command.motor)

@@ -109,8 +109,9 @@ def is_finite(state: State) -> bool:
 
 
 def _reason_name(state: State) -> str:
-    known = state.reason in {*Reason}
-    return Reason(state.reason).name.lower().replace("_", " ") if known else str(state.reason)
+    if state.reason not in {*Reason}:
+        return str(state.reason)
+    return Reason(state.reason).name.lower().replace("_", " ")
 
 
 class Guard:

@@ -107,8 +107,9 @@ class Condition:
         if not isinstance(pushes, PushConfig):
             pushes = task.pushes.for_evaluation(pushes, self.push_force)
         ramp = task.randomize_ramp if self.curricula else 0
-        task = replace(task, randomize=self.randomize, randomize_ramp=ramp, pushes=pushes, commands=commands)
-        task = replace(task, physics_step=0.0)  # the data sheet's
+        task = replace(
+            task, randomize=self.randomize, randomize_ramp=ramp, pushes=pushes, commands=commands, physics_step=0.0
+        )  # the data sheet's
         if self.terrain is not None:
             task = on_terrain(task, self.terrain)
         if self.duration is not None or self.same_duration:

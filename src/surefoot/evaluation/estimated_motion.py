@@ -75,11 +75,11 @@ def torque_delay(trace: EpisodeTrace, robot: RobotDescription) -> float:
     Simulations know it. For a robot it is the one of `TORQUE_DELAYS` with which feet stand most: with torques of
     another time, the feet that carry weight contradict each other.
     """
-    known = trace.meta["params"].get("control_latency")
-    if known is not None:
-        if not is_number(known) or known < 0:
-            raise SurefootError(f"a trace has the control_latency {quote(known)}; it must be a number of 0 or more")
-        return float(known)
+    stated = trace.meta["params"].get("control_latency")
+    if stated is not None:
+        if not is_number(stated) or stated < 0:
+            raise SurefootError(f"a trace has the control_latency {quote(stated)}; it must be a number of 0 or more")
+        return float(stated)
     motions = _estimate([trace] * len(TORQUE_DELAYS), TORQUE_DELAYS, robot, LeggedOdometry)
     return TORQUE_DELAYS[int(np.argmax([motion.contact.mean() for motion in motions]))]
 

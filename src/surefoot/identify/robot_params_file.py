@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from surefoot import __version__
+from surefoot.configuration import is_number
 from surefoot.errors import SurefootError
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -64,7 +65,7 @@ def _are_fractions(value: Any, count: int | None) -> bool:
     values = [value] if count is None else value
     if not isinstance(values, list) or len(values) != (count or 1):
         return False
-    return all(isinstance(one, int | float) and abs(one) <= 0.9 for one in values)
+    return all(is_number(one) and abs(one) <= 0.9 for one in values)
 
 
 def missing_experiments(prior: ParamsFile, experiments: Iterable[str]) -> tuple[str, ...]:

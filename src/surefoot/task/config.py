@@ -247,7 +247,7 @@ def _with_base(data: dict[str, Any], path: Path) -> dict[str, Any]:
     if isinstance(reference, dict) and "kind" in reference:
         base_data["reference"] = keys_of_kind(REFERENCES, base_data.get("reference", {}), reference["kind"])
     if isinstance(table := base_data.get("randomize"), str) and data.get("randomize"):
-        base_data["randomize"] = {"table": table}  # ranges are added to those of a table
+        base_data["randomize"] = {"table": table}  # so that own ranges are merged into it
     return _merge_tables(base_data, data)
 
 

@@ -176,8 +176,7 @@ class SimWorld:
             self.actuation.target[...] = target
         else:
             np.copyto(self.actuation.target, target, where=active[:, None])
-        period = self.params.control_step / self.robot.timing.servo_step
-        before = np.round(self._control_steps * period)
+        before = self._last_servo_steps(self._control_steps)
         self._control_steps += 1 if active is None else active
         due = self._control_steps % _NOISE_BLOCK == 0
         if due.any():
@@ -185,7 +184,7 @@ class SimWorld:
         finite = np.isfinite(self.actuation.target)
         if not finite.all():
             self.engine.diverged |= ~finite.all(axis=1)
-        servo_steps = (np.round(self._control_steps * period) - before).astype(np.int64)
+        servo_steps = (self._last_servo_steps(self._control_steps) - before).astype(np.int64)
         # Nothing happens in a control step without a servo step.
         idle = servo_steps == 0 if active is None else (servo_steps == 0) & active
         for name in _SUMMED_ARRAYS if idle.any() else ():
@@ -197,6 +196,10 @@ class SimWorld:
             self.divergences += len(rows)
             self._reset(rows)
         return self.readings()
+
+    def _last_servo_steps(self, control_steps: Index) -> Array:
+        """Return the servo step with which each robot's control step of a number ends (N,)."""
+        return np.asarray(np.round(control_steps * (self.params.control_step / self.robot.timing.servo_step)))
 
     def readings(self) -> SensorReadings:
         """Return the readings at the control computer: `control_latency` old, with bias and noise on roll and pitch."""
@@ -231,8 +234,8 @@ class SimWorld:
         """Return the true state, with energy, heat and contacts over the last control step."""
         base, motors = self.engine.base(), self.robot.num_motors
         now = self.actuation.sample
-        period, count = self.params.control_step / self.robot.timing.servo_step, self._control_steps
-        ticks = np.maximum(np.round(count * period) - np.round((count - 1) * period), 1)  # as in `step`
+        count = self._control_steps
+        ticks = np.maximum(self._last_servo_steps(count) - self._last_servo_steps(count - 1), 1)
         return SimState(
             base_position_world=base[:, :3],
             base_quat_world=base[:, 3:7],

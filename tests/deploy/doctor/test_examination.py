@@ -472,7 +472,7 @@ def test_a_motion_is_smooth_and_ends_disarmed(ready: RobotLink, robot: RobotDesc
 
 
 def test_a_robot_on_the_ground_sits_before_it_is_disarmed(ready: RobotLink, robot: RobotDescription, toy: Any):
-    with motion_of(ready, robot, sits=True) as motion:
+    with motion_of(ready, robot) as motion:
         motion.rise(pose_of(robot, 0.0, 1.5))
     assert np.allclose(toy.angle, sitting_pose(robot), atol=1e-6)
     assert toy.firmware.mode == Mode.DISARMED
@@ -502,7 +502,7 @@ def test_ctrl_c_lets_the_robot_sit_and_a_second_one_damps_it(
         def stops(self) -> int:
             return stops if ready.clock.now() > 3.2 else 0  # while it stands up
 
-    motion = motion_of(ready, robot, Impatient(), sits=True)
+    motion = motion_of(ready, robot, Impatient())
     with pytest.raises(MotionStoppedError) as stopped, motion:
         motion.rise(pose_of(robot, 0.0, 1.5))
     assert stopped.value.verdict.reason == "operator"

@@ -6,7 +6,6 @@ read. Missing values have legged_gym's defaults. Joints are in Isaac Gym's order
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 from surefoot.adopt.formats.common import plain_joint_name, unread_keys, unread_note
 from surefoot.adopt.formats.python_values import Computed, read_classes
 from surefoot.adopt.specification import ObservationTerm, PolicySpecification, Range
+from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, describe_os_errors, nearest, prefix_errors, quote
 from surefoot.files import read_configuration
 from surefoot.robot import RobotDescription
@@ -178,22 +178,14 @@ def _literal(values: Mapping[str, Any], key: str) -> Any:
 
 def _number(values: Mapping[str, Any], key: str) -> float:
     value = _literal(values, key)
-    if isinstance(value, bool) or not _is_float(value):
+    if not is_number(value):
         raise SurefootError(f"{key} is {'missing' if value is None else quote(value)}; it must be a number")
     return float(value)
 
 
-def _is_float(value: Any) -> bool:
-    """Return whether a value is a finite number in the range of floats, which integers need not be."""
-    try:
-        return isinstance(value, int | float) and math.isfinite(value)
-    except OverflowError:
-        return False
-
-
 def _pair(values: Mapping[str, Any], key: str) -> Range:
     value = _literal(values, key)
-    if not isinstance(value, list | tuple) or len(value) != 2 or not all(map(_is_float, value)):
+    if not isinstance(value, list | tuple) or len(value) != 2 or not all(map(is_number, value)):
         raise SurefootError(f"{key} is {quote(value)}; it must be two numbers")
     return float(value[0]), float(value[1])
 

@@ -88,10 +88,11 @@ class StateMonitor:
         none: tuple[float, ...] = (0.0,) * MOTORS
         self._angle = self._velocity = self._torque = none
         self._roll_pitch_yaw = self._rate = self._force = (0.0, 0.0, 0.0)
-        self._temperature, self._lost = (0,) * MOTORS, (0,) * MOTORS
+        self._temperature = (0,) * MOTORS
+        self._lost: tuple[int, ...] | None = None
+        """Counts of the motors' lost messages in the latest state; None before the first one."""
         self._losses: deque[tuple[int, tuple[int, ...]]] = deque()
         """When a motor lost messages within `LOST_WINDOW` [us], and the counts of all motors before."""
-        self._counted = False
         self._new_at, self._polls = -math.inf, 0
         self._repeats = self._bad = 0
         """Number of states with a repeated tick, and of damaged ones, since the last new state."""
@@ -154,12 +155,11 @@ class StateMonitor:
         if lost == self._lost:
             return None
         # The first counts say nothing, and neither do counts that decrease: the robot has restarted.
-        restarted = not self._counted or min(map(operator.sub, lost, self._lost)) < 0
-        if restarted:
+        if self._lost is None or min(map(operator.sub, lost, self._lost)) < 0:
             self._losses.clear()
         else:
             self._losses.append((now, self._lost))
-        self._lost, self._counted = lost, True
+        self._lost = lost
         while self._losses and now - self._losses[0][0] > LOST_WINDOW:
             self._losses.popleft()
         if self._losses:

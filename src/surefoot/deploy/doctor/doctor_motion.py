@@ -56,7 +56,6 @@ class DoctorMotion(MotionRunner):
         control_step: time between two commands [s].
         operator: signals by which the operator can stop the motion.
         max_error: maximum deviation of a motor angle from its target [rad]; a larger one damps all motors.
-        sits: whether the robot stands on the ground, so that it sits down before it is disarmed.
 
     Raises:
         SurefootError: on entry, if the robot does not arm; nothing has moved then.
@@ -70,10 +69,9 @@ class DoctorMotion(MotionRunner):
         control_step: float,
         operator: StopSignals,
         max_error: float,
-        sits: bool = False,
     ) -> None:
         super().__init__(link, robot, control_step, operator)
-        self.max_error, self.sits = max_error, sits
+        self.max_error = max_error
         self.tracking_error: tuple[int, float] | None = None
         """Index and deviation [rad] of the motor that deviated too far; None if none did."""
         self.states: list[TimedState] = []
@@ -98,7 +96,7 @@ class DoctorMotion(MotionRunner):
         try:
             if damp:
                 self.loop.damp()
-            elif self.sits and self.has_risen:
+            elif self.has_risen:
                 self._raise_if_stopped(self.sit_down())
         except BaseException as stopped:
             damp = not _may_sit(stopped)
@@ -123,7 +121,7 @@ class DoctorMotion(MotionRunner):
         self._raise_if_stopped(self.move("doctor", target, duration))
 
     def rise(self, standing: Array) -> None:
-        """Stand up to motor angles (M,) [rad] from any lying pose."""
+        """Stand up to motor angles (M,) [rad] from any lying pose; on exit the robot then sits down."""
         self._raise_if_stopped(self.stand_up(standing))
 
     def _raise_if_stopped(self, verdict: Verdict) -> None:

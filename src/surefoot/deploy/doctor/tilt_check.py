@@ -75,7 +75,7 @@ def tilt_robot(
         return skip_checks(NAMES, message, "use such names in the data sheet, for example front_left")
     gyro_bias = np.mean([timed.state.angular_velocity_base for timed in at_rest], axis=0)
     stand = robot.pose_angles(*contract.rest)
-    motion = DoctorMotion(link, robot, contract.control_step, operator, MAX_ERROR, sits=True)
+    motion = DoctorMotion(link, robot, contract.control_step, operator, MAX_ERROR)
     try:
         with motion:
             motion.rise(stand)
