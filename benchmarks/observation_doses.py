@@ -34,7 +34,7 @@ from surefoot.arrays import Array
 from surefoot.configuration import from_mapping
 from surefoot.evaluation.conditions import undisturbed_task
 from surefoot.evaluation.rollout import Controller, run_to_end
-from surefoot.evaluation.statistics import Interval, t_interval, welch_interval
+from surefoot.evaluation.statistics import Interval, difference_interval, t_interval
 from surefoot.tables import print_table, read_csv, write_csv
 from surefoot.task.config import TaskConfig
 from surefoot.task.env import LocomotionEnv
@@ -178,7 +178,7 @@ def print_doses(rows: list[dict[str, Any]]) -> None:
                         "groups": small.removeprefix("small_"),
                         "4-D (m)": text(t_interval(one)),
                         "12-D (m)": text(t_interval(two)),
-                        "12-D less 4-D (m)": text(welch_interval(two, one)),
+                        "12-D less 4-D (m)": text(difference_interval((two, one))),
                         "falls": f"{fallen[0]:g}, {fallen[1]:g}",
                     }
                 )

@@ -14,12 +14,12 @@ from surefoot.evaluation.statistics import (
     Interval,
     MeanEstimate,
     crossed_interval,
+    difference_interval,
     equivalence_p_value,
     holm,
     proportion_difference,
     proportion_interval,
     t_interval,
-    welch_interval,
 )
 
 
@@ -30,18 +30,18 @@ def test_t_interval_of_three_samples_by_hand() -> None:
     assert (interval.mean, interval.high - 2, 2 - interval.low) == (2, half, half)
 
 
-def test_welch_interval_with_equal_variances_by_hand() -> None:
+def test_difference_interval_with_equal_variances_by_hand() -> None:
     # Standard error sqrt(1/3 + 1/3), 4 degrees of freedom, t(0.975, 4) = 2.776445.
-    interval = welch_interval([2.0, 3.0, 4.0], [1.0, 2.0, 3.0])
+    interval = difference_interval(([2.0, 3.0, 4.0], [1.0, 2.0, 3.0]))
     assert interval.mean == 1
     assert interval.high - 1 == pytest.approx(2.776445 * math.sqrt(2 / 3), rel=1e-6)
 
 
 @pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
-def test_welch_interval_equals_scipys_with_unequal_variances_and_sizes(scale: float) -> None:
+def test_difference_interval_equals_scipys_with_unequal_variances_and_sizes(scale: float) -> None:
     random = np.random.default_rng(3)
     a, b = scale * random.normal(1.0, 0.2, 4), scale * random.normal(0.5, 2.0, 7)
-    interval = welch_interval(a, b)
+    interval = difference_interval((a, b))
     test = stats.ttest_ind(a, b, equal_var=False)
     expected = (*test.confidence_interval(0.95), test.pvalue)
     assert (interval.low, interval.high, interval.p) == pytest.approx(expected, rel=1e-10)
@@ -52,7 +52,7 @@ def test_intervals_cover_the_true_value_as_often_as_their_confidence() -> None:
     rounds, inside, between = 1000, 0, 0
     for _ in range(rounds):
         a, b = random.normal(2.0, 1.0, 3), random.normal(1.0, 0.3, 4)
-        one, change = t_interval(a), welch_interval(a, b)
+        one, change = t_interval(a), difference_interval((a, b))
         inside += one.low <= 2 <= one.high
         between += change.low <= 1 <= change.high
     assert inside / rounds == pytest.approx(0.95, abs=0.02)
@@ -61,7 +61,12 @@ def test_intervals_cover_the_true_value_as_often_as_their_confidence() -> None:
 
 def test_one_or_two_samples_have_no_interval() -> None:
     two = t_interval([1.0, 2.0])
-    for interval in (t_interval([1.5]), two, welch_interval([2.0] * 3, [0.5] * 2), welch_interval([2.0, 2.0], [0.5])):
+    for interval in (
+        t_interval([1.5]),
+        two,
+        difference_interval(([2.0] * 3, [0.5] * 2)),
+        difference_interval(([2.0, 2.0], [0.5])),
+    ):
         assert (interval.mean, interval.is_finite, math.isnan(interval.p)) == (1.5, False, True)
     assert (t_interval([1.5]).text(1), two.text(1, sign=True)) == ("1.5", "+1.5 (+1.0, +2.0)")
 
@@ -115,8 +120,8 @@ def test_holm_by_hand() -> None:
 
 def test_constant_samples_give_an_interval_of_zero_width() -> None:
     assert t_interval([0.0, 0.0, 0.0]) == Interval(0.0, 0.0, 0.0, 1.0)
-    assert welch_interval([2.0] * 3, [1.0] * 3) == Interval(1.0, 1.0, 1.0, 0.0)
-    one_side = welch_interval([2.0, 2.0, 2.0], [1.0, 2.0, 3.0])
+    assert difference_interval(([2.0] * 3, [1.0] * 3)) == Interval(1.0, 1.0, 1.0, 0.0)
+    one_side = difference_interval(([2.0, 2.0, 2.0], [1.0, 2.0, 3.0]))
     assert one_side.high - one_side.mean == pytest.approx(4.302653 / math.sqrt(3), rel=1e-6)
 
 
@@ -166,10 +171,24 @@ def test_crossed_interval_over_rows_and_columns_by_hand() -> None:
     assert interval.mean == pytest.approx(2.0)
     assert interval.high - 2.0 == pytest.approx(stats.t.ppf(0.975, freedom) * math.sqrt(5 / 3))
     # Column effects on both tables cancel; rows are independent.
-    change = crossed_interval(values + 5.0, values)
+    change = difference_interval((values + 5.0, values))
     assert change.mean == pytest.approx(5.0)
     assert change.high - 5.0 == pytest.approx(stats.t.ppf(0.975, 4) * math.sqrt(2 / 3))
     assert not crossed_interval(values[:1]).is_finite
+
+
+def test_a_main_effect_by_hand() -> None:
+    # Differences of 1 and 3. Each of four samples has a variance of 1, which a quarter of a third remains of.
+    samples = [np.array([-1.0, 0.0, 1.0]) + level for level in (2.0, 1.0, 7.0, 4.0)]
+    effect = difference_interval((samples[0], samples[1]), (samples[2], samples[3]))
+    assert effect.mean == pytest.approx(2.0)
+    assert effect.high - 2.0 == pytest.approx(stats.t.ppf(0.975, 8) * math.sqrt(4 * (1 / 3) / 4))
+    assert effect.p == pytest.approx(2 * stats.t.sf(2.0 / math.sqrt(1 / 3), 8))
+    # With the same robots in all tables their effects cancel in every pair.
+    columns = np.array([-2.0, 0.0, 2.0])
+    tables = [sample[:, None] + columns for sample in samples]
+    crossed = difference_interval((tables[0], tables[1]), (tables[2], tables[3]))
+    assert (crossed.mean, crossed.high) == pytest.approx((effect.mean, effect.high))
 
 
 def test_crossed_interval_covers_the_true_value() -> None:

@@ -161,6 +161,27 @@ def test_the_report_has_tables_and_figures(tmp_path: Path, study: Comparison) ->
         assert len(list(csv.DictReader(table))) == 4 * 3 * len(WORLDS)
 
 
+def test_main_effects_are_means_over_pairs(tmp_path: Path) -> None:
+    plain = comparison(("nominal", "table1"))
+    pairs = (("small_plain", "small_randomized"), ("large_plain", "large_randomized"))
+    study = replace(plain, study=replace(plain.study, effects={"randomization": pairs}))
+    table = study_tables(study)["effects"].set_index("figure")
+    # Percentages are left out.
+    assert table.index.tolist() == ["nominal_speed", "nominal_return", "table1_speed"]
+    effect = table.loc["nominal_return"]
+    # Differences -0.2 and -0.4 m; standard error 0.1 sqrt(4/3) / 2, 8 degrees of freedom, t(0.975, 8) = 2.306004.
+    half = 2.306004 * 0.1 / np.sqrt(3)
+    ends = (-0.3, -0.3 - half, -0.3 + half)
+    assert (effect["difference"], effect["difference_low"], effect["difference_high"]) == pytest.approx(ends, abs=1e-6)
+    text = write_report(study, tmp_path, "command").read_text()
+    assert "mean over 4-D, randomized less 4-D and 12-D, randomized less 12-D" in text
+    assert cells(text, "Main effects", "randomization")[2] == "-0.30 [-0.43, -0.17], p < 0.001"
+    assert report_from_tables(study.study, tmp_path, "command") == text
+    # Without the policies of a group there is no effect.
+    few = replace(study, policies=study.policies[study.policies.group != "large_plain"])
+    assert "effects" not in study_tables(few)
+
+
 def test_trials_in_test_worlds_are_counted(study: Comparison) -> None:
     falls = next(metric for metric in study.metrics if metric.name == "sensitivity_falls")
     result = study.policies.results.iloc[0]["sensitivity"]

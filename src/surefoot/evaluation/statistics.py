@@ -181,28 +181,32 @@ def holm(p: ArrayLike) -> Array:
     return adjusted
 
 
-def welch_interval(values: ArrayLike, base: ArrayLike) -> Interval:
-    """Return the mean of `values` (N,) minus the mean of `base` (M,) with Welch's interval for unequal variances.
+def difference_interval(*pairs: tuple[ArrayLike, ArrayLike]) -> Interval:
+    """Return the difference of two means, the first minus the second, or its mean over several pairs of samples.
 
-    Degrees of freedom follow Welch and Satterthwaite. No interval if either has fewer than `MIN_SAMPLES`.
+    All samples are independent and have their own variance. For one pair of samples (N,) and (M,) this is Welch's
+    interval; for several it is a main effect. Tables (P, R) and (Q, R) have crossed random effects as in
+    `crossed_interval`: rows are different policies in each table, columns are the same robots in all. Degrees of
+    freedom follow Welch and Satterthwaite. No interval if a sample has fewer than `MIN_SAMPLES` values, rows or
+    columns.
     """
-    first, second = np.asarray(values, np.float64), np.asarray(base, np.float64)
-    return _satterthwaite([first, second], float(first.mean() - second.mean()))
+    tables = [[np.asarray(table, np.float64) / len(pairs) for table in pair] for pair in pairs]
+    differences = np.sum([first.mean(axis=0) - second.mean(axis=0) for first, second in tables], axis=0)
+    rows = [table.mean(axis=1) if table.ndim == 2 else table for pair in tables for table in pair]
+    return _satterthwaite([*rows, differences] if differences.ndim else rows, float(differences.mean()))
 
 
-def crossed_interval(values: ArrayLike, base: ArrayLike | None = None) -> Interval:
-    """Return the mean of `values` (P, R), or its difference from `base` (Q, R), with crossed random effects.
+def crossed_interval(values: ArrayLike) -> Interval:
+    """Return the mean of `values` (P, R) with crossed random effects: rows are policies, columns robots.
 
-    Rows are policies, different ones in each array; columns are robots, the same ones in both. The variance of the mean
-    is the variance of the row means divided by their number, for each array, plus the variance of the column means (of
-    their difference) divided by their number. Variance that rows and columns share counts twice, so the interval is
-    conservative. Degrees of freedom follow Satterthwaite. No interval for fewer than `MIN_SAMPLES` rows or columns.
+    The variance of the mean is the variance of the row means divided by their number plus the variance of the column
+    means divided by theirs. Variance that rows and columns share counts twice, so the interval is conservative. Degrees
+    of freedom follow Satterthwaite. No interval for fewer than `MIN_SAMPLES` rows or columns.
     """
-    tables = [np.asarray(table, np.float64) for table in ((values,) if base is None else (values, base))]
-    if base is None and len(tables[0]) < MIN_SAMPLES:
-        return t_interval(tables[0].mean(axis=1))
-    columns = tables[0].mean(axis=0) - (tables[1].mean(axis=0) if base is not None else 0.0)
-    return _satterthwaite([*(table.mean(axis=1) for table in tables), columns], float(columns.mean()))
+    table = np.asarray(values, np.float64)
+    if len(table) < MIN_SAMPLES:
+        return t_interval(table.mean(axis=1))
+    return _satterthwaite([table.mean(axis=1), table.mean(axis=0)])
 
 
 def _satterthwaite(samples: Sequence[Array], mean: float | None = None, confidence: float = CONFIDENCE) -> Interval:

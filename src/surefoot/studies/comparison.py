@@ -21,11 +21,11 @@ from surefoot.evaluation.statistics import (
     Interval,
     MeanEstimate,
     crossed_interval,
+    difference_interval,
     holm,
     proportion_difference,
     proportion_interval,
     t_interval,
-    welch_interval,
 )
 from surefoot.files import atomic_write
 from surefoot.report.figures.learning import bin_curve, learning_curve
@@ -39,6 +39,7 @@ CONTENTS = {
     "policies": "one row per trained policy",
     "groups": "one row per group and metric, with its interval",
     "differences": "one row per pair of groups and metric: difference, interval, p, and p after Holm's correction",
+    "effects": "one row per main effect and metric: mean difference, interval, and p without correction",
     "episodes": "one row per episode of all evaluations",
     "sensitivity": "one row per policy and test world",
     "gap_groups": "one row per group and world, for all policies and for the best (`top`): means, errors, intervals",
@@ -130,8 +131,16 @@ class Comparison:
         """Return the difference of a metric's means, `group` minus `base`, with its interval."""
         if self._trials(group, metric):
             return proportion_difference(self.interval(group, metric), self.interval(base, metric))
-        values, others = self._values(group, metric), self._values(base, metric)
-        return crossed_interval(values, others) if values.ndim == 2 else welch_interval(values, others)
+        return difference_interval((self._values(group, metric), self._values(base, metric)))
+
+    def effect(self, name: str, metric: ResultMetric) -> Interval | None:
+        """Return a main effect of the study on a metric that is a mean; None for a metric that is a percentage."""
+        pairs = self.study.effects[name]
+        if self._trials(pairs[0][0], metric):
+            return None
+        return difference_interval(
+            *((self._values(group, metric), self._values(base, metric)) for base, group in pairs)
+        )
 
     def _values(self, group: str, metric: ResultMetric) -> Array:
         """Return a metric of each policy of a group (P,), or of each of its runs (P, R)."""
@@ -164,6 +173,10 @@ class Comparison:
 
     def _name(self, row: Any) -> str:
         return f"{self.study.label(row.group)}, seed {row.seed}"
+
+    def present_effects(self) -> list[str]:
+        """Return the names of the main effects whose groups all have policies."""
+        return [name for name, pairs in self.study.effects.items() if set().union(*pairs) <= set(self.groups)]
 
     def present_pairs(self) -> list[tuple[str, str]]:
         """Return the pairs in which both groups have policies."""
@@ -199,6 +212,8 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
         "differences": _differences(comparison, comparison.metrics),
         "episodes": _episodes(policies),
     }
+    if effects := _effects(comparison):
+        tables["effects"] = effects
     if "sensitivity" in comparison.kinds:
         tested = [one for group in groups for one in comparison.sensitivities(group)]
         tables["sensitivity"] = pd.concat([one.worlds.assign(policy=one.policy) for one in tested])
@@ -216,6 +231,16 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
             for row in policies.itertuples()
         ]
     return {name: pd.DataFrame(table) for name, table in tables.items()}
+
+
+def _effects(comparison: Comparison) -> list[dict[str, Any]]:
+    """Return one row per main effect and metric, without the metrics that are percentages."""
+    return [
+        {"effect": name, "figure": metric.name, "unit": metric.unit, **interval.columns("difference"), "p": interval.p}
+        for name in comparison.present_effects()
+        for metric in comparison.metrics
+        if (interval := comparison.effect(name, metric)) is not None
+    ]
 
 
 def _differences(comparison: Comparison, metrics: Sequence[ResultMetric]) -> pd.DataFrame:

@@ -48,7 +48,9 @@ def readme(title: str, command: str, parts: Iterable[str], files: Mapping[str, s
 
 def read_tables(folder: Path, names: Iterable[str]) -> dict[str, pd.DataFrame]:
     """Return the tables NAME.csv that a folder has, by name; names of groups stay text, also `1` or `NA`."""
-    text = dict.fromkeys(("group", "against", "label", "question", "policy", "parameter", "part", "row"), "str")
+    text = dict.fromkeys(
+        ("group", "against", "label", "question", "effect", "policy", "parameter", "part", "row"), "str"
+    )
     return {
         name: pd.read_csv(path, dtype=text, keep_default_na=False, na_values=[""])
         for name in names

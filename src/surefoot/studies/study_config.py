@@ -72,6 +72,8 @@ class StudyConfig:
     """Kinds of evaluation of every trained policy."""
     compare: tuple[tuple[str, str], ...] = ()
     """Pairs of groups whose difference is reported, the second minus the first; defaults to all pairs."""
+    effects: dict[str, tuple[tuple[str, str], ...]] = field(default_factory=dict)
+    """Main effects by name: pairs of groups, the second minus the first, whose mean difference is reported."""
     primary: str = "nominal_return"
     """Primary metric of the comparisons. The p values of each metric are adjusted for the number of pairs."""
     top: Annotated[int, Within(1, 1000)] = 3
@@ -109,6 +111,14 @@ class StudyConfig:
         for pair in self.compare:
             self._check_names("compare", pair)
         check_pairs("compare", self.compare)
+        for name, pairs in self.effects.items():
+            groups = tuple(group for pair in pairs for group in pair)
+            if len(pairs) < 2 or len(set(groups)) < len(groups):
+                raise SurefootError(
+                    f"effects.{name}: it has {len(pairs)} pairs, of {choices(groups)}; it needs 2 or more, without a "
+                    "group in common"
+                )
+            self._check_names(f"effects.{name}", groups)
         if OTHERS in self.bars:
             raise SurefootError(f"bars.{OTHERS}: this name belongs to the groups that are in no set; take another one")
         findings = {f"findings[{number}]": finding.groups for number, finding in enumerate(self.findings)}
@@ -131,10 +141,10 @@ class StudyConfig:
             check_identified(group.identified, f"groups.{name}.identified")
         if self.questions and self.robots is None:
             raise SurefootError("questions needs robots, and the study has none; compare takes pairs of groups")
-        if self.robots is not None and (self.evaluate or self.compare or self.bars or self.findings):
+        if self.robots is not None and (self.evaluate or self.compare or self.effects or self.bars or self.findings):
             raise SurefootError(
                 "robots: a study on robots is evaluated by runs on them, and compared by questions; leave out "
-                "evaluate, compare, bars and findings"
+                "evaluate, compare, effects, bars and findings"
             )
         for name, question in self.questions.items():
             with prefix_errors(f"questions.{name}"):

@@ -99,6 +99,7 @@ def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], comm
         image("Metrics of all groups", "groups.png"),
         "## Differences",
         *_differences(comparison, tables["differences"], comparison.metrics),
+        *(_effects(comparison, tables["effects"], metrics) if "effects" in tables else []),
         "## Every seed",
         *_by_metric(
             metrics,
@@ -176,9 +177,12 @@ def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
 
 def _change(row: Any, metric: ResultMetric) -> str:
     """Return a difference with its interval, bold if it is significant after correction."""
-    interval = Interval(row.difference, row.difference_low, row.difference_high)
-    text = interval.text(metric.digits, sign=True)
+    text = _difference(row).text(metric.digits, sign=True)
     return f"**{text}**" if row.p_holm < _LEVEL else text
+
+
+def _difference(row: Any) -> Interval:
+    return Interval(row.difference, row.difference_low, row.difference_high)
 
 
 def _differences(comparison: Comparison, table: pd.DataFrame, metrics: Sequence[ResultMetric]) -> list[str]:
@@ -193,6 +197,32 @@ def _differences(comparison: Comparison, table: pd.DataFrame, metrics: Sequence[
         for _, part in table.groupby(["group", "against"], sort=False)
     ]
     return _by_metric(metrics, heads, cells)
+
+
+def _effects(comparison: Comparison, table: pd.DataFrame, metrics: Sequence[ResultMetric]) -> list[str]:
+    """Return the section on main effects, whose p values stand next to them."""
+    label, shown = comparison.study.label, [one for one in metrics if one.name in set(table.figure)]
+    names = list(table.effect.unique())
+    pairs = [
+        f"- {name}: mean over " + " and ".join(f"{label(group)} less {label(base)}" for base, group in pairs) + "."
+        for name, pairs in comparison.study.effects.items()
+        if name in names
+    ]
+    cells = []
+    for name in names:
+        rows = {row.figure: row for row in table[table.effect == name].itertuples()}
+        cells.append(
+            {
+                one.name: f"{_difference(rows[one.name]).text(one.digits, sign=True)}, p {p_text(rows[one.name].p)}"
+                for one in shown
+            }
+        )
+    return [
+        "## Main effects",
+        "\n".join(pairs),
+        "p values are not corrected.",
+        *_by_metric(shown, [{"effect": name} for name in names], cells),
+    ]
 
 
 def _by_metric(
