@@ -108,6 +108,6 @@ def test_feet_that_never_left_the_ground_do_not_land():
 def test_the_reward_needs_footholds():
     task = seeing_task()
     with pytest.raises(
-        SurefootError, match=r"reward.foothold_error needs footholds: set reference.foothold_radius above 0"
+        SurefootError, match=r"a term of the reward needs footholds: set reference.foothold_radius above 0"
     ):
         LocomotionEnv(replace(task, reference=replace(task.reference, foothold_radius=0.0)), 1, SimWorld, threads=1)

@@ -35,6 +35,7 @@ from surefoot.task.plugins import (
 from surefoot.task.policy_plugins import plugin_notes
 from surefoot.task.reference_config import SineReferenceConfig
 from surefoot.task.reward import TERMS
+from surefoot.world.sim_world import SimWorld
 
 HEAD = """
 import numpy as np
@@ -91,6 +92,16 @@ def test_terms_and_observations_work_as_built_in_ones(write) -> None:
     _, reward, *_ = env.step(np.zeros((2, 8)))
     np.testing.assert_allclose(reward, 2.0 * 3.0 * env.world.params.control_step)  # a rate
     assert env.observer.columns == ["roll", "twice"]
+
+
+def test_a_term_that_needs_the_error_over_a_stride_gets_it(write) -> None:
+    for needs, is_computed in (("", False), ("stride_error", True)):
+        write(TERM.replace('"1"', f'"1", needs="{needs}"').format("motion.stride_error[:, 0]"))
+        env = LocomotionEnv(replace(TASK, reward={"constant": 1.0}), 2, SimWorld, threads=1)
+        env.reset()
+        _, reward, *_ = env.step(np.zeros((2, 8)))
+        assert reward.astype(bool).tolist() == [is_computed] * 2
+        remove_plugins()
 
 
 def test_a_policy_records_its_plugins_and_needs_only_their_observations(write, robot) -> None:
@@ -151,6 +162,10 @@ def test_columns_of_motors_and_of_sides_are_mirrored(write, robot) -> None:
         (TERM.replace("constant", "progress"), "reward term 'progress': surefoot has one of this name; choose another"),
         (CONSTANT + CONSTANT, r"line 9: reward term 'constant': \S+mine\.py has one of this name"),
         (TERM.replace('"constant"', '"a b"'), "name of the reward term is 'a b'; a name has letters"),
+        (
+            TERM.replace('"1"', '"1", needs="stride_eror"'),
+            "'constant': needs 'stride_eror'; did you mean stride_error",
+        ),
     ],
 )
 def test_an_invalid_plugin_is_rejected_and_registers_nothing(write, text: str, message: str) -> None:

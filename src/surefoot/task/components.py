@@ -23,6 +23,7 @@ from surefoot.task.height_scan import HeightScan, HeightScanner
 from surefoot.task.privileged import ReferencePhase, TrueHeights, TrueState
 from surefoot.task.pushes import Pusher
 from surefoot.task.randomized_params import RandomizedParams
+from surefoot.task.reward import TERMS
 from surefoot.task.terrain_curriculum import EpisodeStarts, TerrainCurriculum
 from surefoot.task.velocity_tracking import VelocityTracking
 from surefoot.world.terrain import TerrainField
@@ -51,6 +52,7 @@ def make_components(setup: Setup) -> list[Component]:
     """Return the components that the task needs, in calling order."""
     task, robot, num_envs, seed = setup.task, setup.robot, setup.num_envs, setup.seed
     limits, terrain = task.commands.limits(robot), task.terrain
+    needed = {TERMS[term].needs for term in task.reward}
     components: list[Component] = [TrueState(robot, in_heading_frame=limits is not None)]
     if setup.tiles.kinds:
         components.append(TerrainCurriculum(terrain, setup.tiles, num_envs, seed))
@@ -65,9 +67,9 @@ def make_components(setup: Setup) -> list[Component]:
     if limits is not None:
         source = setup.source or task.commands.make_generator(limits, num_envs, seed)
         components += gait_components(setup.gait, limits, source, num_envs)
-    if "foothold_error" in task.reward:
+    if "foothold_error" in needed:
         components.append(FootholdError(_footholds(components)))
-    if limits is not None or any(term.startswith("stride_") for term in task.reward):
+    if limits is not None or "stride_error" in needed:
         components.append(VelocityTracking(setup.gait.reference.period))
     if setup.gait.reference.period is not None:
         components.append(ReferencePhase())
@@ -86,4 +88,4 @@ def _footholds(components: list[Component]) -> Footholds:
     for component in components:
         if isinstance(component, Footholds):
             return component
-    raise SurefootError("reward.foothold_error needs footholds: set reference.foothold_radius above 0")
+    raise SurefootError("a term of the reward needs footholds: set reference.foothold_radius above 0")

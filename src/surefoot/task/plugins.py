@@ -27,7 +27,7 @@ from surefoot.files import read_configuration
 from surefoot.policy.contract import PluginRecord
 from surefoot.robot import RobotDescription
 from surefoot.task.observation import PARTS, ObservationPart
-from surefoot.task.reward import TERMS, RewardTerm
+from surefoot.task.reward import ON_REQUEST, TERMS, RewardTerm
 from surefoot.task.state import EnvState, RobotState
 
 GROUP = "surefoot.plugins"
@@ -69,7 +69,7 @@ _registering: list[Plugin] = []
 
 
 def reward_term(
-    name: str, unit: str, source: str = "", is_sum: bool = False
+    name: str, unit: str, source: str = "", is_sum: bool = False, needs: str = ""
 ) -> Callable[[Callable[[EnvState], Any]], Callable[[EnvState], Any]]:
     """Register a function as a reward term. It receives the `EnvState` of N robots and returns values (N,).
 
@@ -78,17 +78,21 @@ def reward_term(
         unit: quantity and unit that the weight multiplies.
         source: origin of the term, such as a paper.
         is_sum: whether values are sums over the control step; otherwise rates.
+        needs: field of the state that the function reads and that is zero unless a term needs it, from
+            `reward.ON_REQUEST`.
     """
 
     def register(function: Callable[[EnvState], Any]) -> Callable[[EnvState], Any]:
         plugin, what = _registering_plugin(), f"reward term '{name}'"
         _check_new("reward term", name, TERMS)
+        if needs and needs not in ON_REQUEST:
+            raise SurefootError(f"plug-in {plugin.path}: {what}: needs '{needs}'; {suggest(needs, ON_REQUEST)}")
 
         def value(state: EnvState) -> Array:
             values = _call(plugin, what, function, state)
             return _check_values(plugin, what, values, state.duration.shape, ~state.truth.diverged)
 
-        TERMS[name] = RewardTerm(unit, value, source or plugin.name, is_sum)
+        TERMS[name] = RewardTerm(unit, value, source or plugin.name, is_sum, needs)
         plugin.rewards.append(name)
         return function
 

@@ -21,6 +21,10 @@ from surefoot.task.trace import ENERGY_WEIGHT
 PAPER_REWARD = {"progress": 1.0, "energy": -ENERGY_WEIGHT}
 """Reward of Tan et al. 2018, eq. 2: (p_n - p_{n-1}) . d - w dt |tau . qdot|, where d is the world's x axis."""
 
+ON_REQUEST = ("stride_error", "foothold_error")
+"""Fields of `EnvState` that are zero unless a reward term of the task needs them. The tracking error over a stride is
+also computed for tasks with commands."""
+
 
 @dataclass(frozen=True)
 class RewardTerm:
@@ -34,6 +38,8 @@ class RewardTerm:
     """Origin of the term, such as a paper."""
     is_sum: bool = False
     """Whether values are sums over the control step; otherwise rates."""
+    needs: str = ""
+    """Field of the state that is computed only for tasks with such a term, from `ON_REQUEST`."""
 
 
 _TAN = "Tan et al. 2018, eq. 2"
@@ -62,11 +68,13 @@ TERMS: dict[str, RewardTerm] = {
         "|e| of the average over a stride, sqrt(g l)",
         lambda m: np.hypot(*m.stride_error[:, :2].T) / m.scales.speed,
         "as the measure over strides: a speed that goes up and down in a stride hides a mean that is off",
+        needs="stride_error",
     ),
     "stride_yaw_rate_error": RewardTerm(
         "|e| of the average over a stride, sqrt(g / l)",
         lambda m: np.abs(m.stride_error[:, 2]) / m.scales.rate,
         "as above",
+        needs="stride_error",
     ),
     "heading_error": RewardTerm("|e|, rad", lambda m: np.abs(m.heading_error), "heading that is held"),
     "vertical_speed": RewardTerm("v_z^2, g l", lambda m: m.velocity[:, 2] ** 2, _RUDIN),
@@ -91,6 +99,7 @@ TERMS: dict[str, RewardTerm] = {
         lambda m: m.foothold_error,
         "as in Jenelten et al. 2024, DTC: Deep Tracking Control",
         is_sum=True,
+        needs="foothold_error",
     ),
     "feedback": RewardTerm("mean of squares", lambda m: (m.action**2).mean(axis=1), "keeps the network's part small"),
     "feedback_change": RewardTerm(
