@@ -65,6 +65,9 @@ def test_controller_gains_of_an_mjcf_are_converted_to_the_joint(
         ('<motor joint="{joint}" gear="-6" forcerange="-3 3"/>', "", 18.0),
         ('<general joint="{joint}" gainprm="10" ctrlrange="-1 1" ctrllimited="true"/>', "", 10.0),
         ('<motor joint="{joint}" gear="5" ctrlrange="-4 4"/>', 'actuatorfrcrange="-12 12"', 12.0),
+        # The smallest limit applies.
+        ('<motor joint="{joint}" gear="5" ctrlrange="-4 4"/>', 'actuatorfrcrange="-100 100"', 20.0),
+        ('<motor joint="{joint}" gear="5" ctrlrange="-4 4" forcerange="-3 3"/>', "", 15.0),
         (POSITION, "", 25.0),
         # A motor with back EMF; and a speed controller, whose control signal is not a torque.
         (

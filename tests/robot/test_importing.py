@@ -299,6 +299,21 @@ BAD = [
         mjcf("".join(leg(n, 0.2 if n != "RR" else -0.2, 0.08 * y) for n, (x, y) in CORNERS.items())),
         "its hips are not at four corners, one leg at each",
     ),
+    (
+        "dog.xml",
+        mjcf(extra='<equality><connect body1="FL_lower" body2="FL_hip" anchor="0 0 0"/></equality>'),
+        "has closed loops; five-bar legs need",
+    ),
+    (
+        "dog.xml",
+        mjcf(extra='<equality><joint joint1="FL_knee" joint2="FL_hip"/></equality>'),
+        "has a joint that follows another one or is held, 'FL_knee'; five-bar legs need",
+    ),
+    (
+        "dog.xml",
+        mjcf().replace(' name="RL_hip"', ""),
+        "the joint of body 'RL_upper' has no name; name the joints of all legs",
+    ),
 ]
 
 
@@ -336,6 +351,102 @@ def test_a_tail_is_fixed_and_fused_with_the_base(tmp_path: Path) -> None:
     assert imported.base.mass == pytest.approx(6.5)
     # The tail's centre is 0.1 m below its joint.
     np.testing.assert_allclose(imported.base.centre, 0.5 / 6.5 * np.array([-0.2, 0.0, -0.1]), atol=1e-12)
+
+
+def test_a_head_with_as_few_joints_as_a_leg_is_fixed(tmp_path: Path) -> None:
+    head = f"""<body name="neck" pos=".2 0 0"><joint name="pan" axis="0 0 1"/>{LINK}
+      <body name="head"><joint name="nod" axis="0 1 0"/>{LINK}</body></body>"""
+    imported = read_robot(write(tmp_path, mjcf(head + legs())))
+    assert "joint 'pan' and the bodies below it are fixed, because they are not part of a leg" in imported.notes
+    assert imported.joints[0] == ("FL_abduction", "FL_hip", "FL_knee")
+    assert imported.base.mass == pytest.approx(7.0)
+
+
+@pytest.mark.parametrize(
+    "equality",
+    [
+        '<joint joint1="pan" joint2="nod"/>',  # what MuJoCo makes of <mimic>
+        '<joint joint1="FL_knee" active="false"/>',
+        '<weld body1="neck" body2="trunk"/>',
+    ],
+)
+def test_couplings_outside_of_the_legs_or_inactive_ones_are_accepted(equality: str, tmp_path: Path) -> None:
+    head = f"""<body name="neck" pos=".2 0 0"><joint name="pan" axis="0 0 1"/>{LINK}
+      <body name="head"><joint name="nod" axis="0 1 0"/>{LINK}</body></body>"""
+    text = mjcf(head + legs(), f"<equality>{equality}</equality>")
+    assert len(read_robot(write(tmp_path, text)).joints) == 4
+
+
+def test_a_joints_reference_angle_is_not_its_zero(tmp_path: Path) -> None:
+    # The body of a joint with ref is placed as if the joint were at ref; limits and targets are angles of the joint.
+    text = mjcf().replace('_knee" axis', '_knee" ref="-1.5" axis')
+    path = write(tmp_path, text)
+    write_robot(read_robot(path), tmp_path / "dog", "dog")
+    robot = RobotDescription.load(tmp_path / "dog")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data, lower = mujoco.MjData(model), model.body("FL_lower").id
+    for knee in (-2.5, -1.5, -0.6):
+        data.qpos[:] = 0.0
+        data.qpos[3] = 1.0
+        data.qpos[model.jnt_qposadr[model.joint("FL_knee").id]] = knee
+        mujoco.mj_kinematics(model, data)
+        foot = data.xpos[lower] + data.xmat[lower].reshape(3, 3) @ [0.0, 0.0, -0.2]
+        angles = np.zeros(robot.num_motors)
+        angles[robot.motor_names.index("FL_knee")] = knee
+        angles *= robot.motor_sign
+        np.testing.assert_allclose(robot.foot_positions(angles)[0], foot, atol=1e-6)
+
+
+def test_a_base_without_a_free_joint_is_the_origin(tmp_path: Path) -> None:
+    free = read_robot(write(tmp_path, mjcf()))
+    for pose in ('pos="1 2 .5"', 'pos="1 2 .5" euler="0 .3 0"'):
+        held = read_robot(write(tmp_path, mjcf().replace('name="trunk"><freejoint/>', f'name="trunk" {pose}>')))
+        np.testing.assert_allclose(held.base.centre, free.base.centre, atol=1e-12)
+        np.testing.assert_allclose(held.axis_points, free.axis_points, atol=1e-12)
+        np.testing.assert_allclose(held.feet, free.feet, atol=1e-12)
+
+
+def test_inertias_follow_from_geoms_where_the_compiler_says_so(tmp_path: Path) -> None:
+    text = mjcf().replace('<geom type="box"', '<geom mass="5" type="box"')
+    assert read_robot(write(tmp_path, text)).base.mass == 6.0
+    text = text.replace('autolimits="true"', 'autolimits="true" inertiafromgeom="true"')
+    imported = read_robot(write(tmp_path, text))
+    assert imported.base.mass == pytest.approx(5.0)
+    # A body of a leg has no geom with a mass but its foot.
+    assert imported.bodies[0][0].mass == pytest.approx(0.3)
+    assert imported.bodies[0][2].mass == pytest.approx(1000 * 4 / 3 * np.pi * 0.02**3)
+
+
+def test_springs_of_joints_are_noted(tmp_path: Path) -> None:
+    imported = read_robot(write(tmp_path, mjcf().replace('name="FL_knee"', 'name="FL_knee" stiffness="30"')))
+    assert any(note.startswith("springs at joints are left out") and "FL_knee" in note for note in imported.notes)
+    assert not any("springs" in note for note in read_robot(write(tmp_path, mjcf())).notes)
+
+
+def test_every_keyframe_without_a_name_is_a_pose(tmp_path: Path) -> None:
+    keys = "".join(f'<key qpos="0 0 1 1 0 0 0 {" ".join(["0 0 -1." + digit] * 4)}"/>' for digit in "12")
+    poses = read_robot(write(tmp_path, mjcf(extra=f"<keyframe>{keys}</keyframe>"))).poses
+    assert [angles[0, 2] for _, angles in poses] == [-1.1, -1.2]
+
+
+def test_a_rounded_inertia_keeps_its_moments(tmp_path: Path) -> None:
+    text = SHIPPED["solo8"].urdf.path.read_text()
+    plate = link("plate").replace('ixx="1" iyy="1" izz="1"', 'ixx="1e-3" iyy="1e-3" izz="2.0005e-3"')
+    fixed = '<joint name="mount" type="fixed"><parent link="base"/><child link="plate"/></joint>'
+    for extra in ("", plate + fixed):
+        imported = read_robot(write(tmp_path, text.replace("</robot>", f"{extra}</robot>"), "solo.urdf"))
+        assert not any("no rigid body" in note for note in imported.notes)
+        if not extra:
+            before = imported.base
+    # The plate of 1 kg moves the base's centre; both bodies' moments about the common centre add up.
+    total = before.mass + 1.0
+    centre = before.mass * before.centre / total
+    around = [
+        mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        for mass, offset in ((before.mass, before.centre - centre), (1.0, -centre))
+    ]
+    expected = before.inertia + np.diag([1e-3, 1e-3, 2e-3]) + sum(around)
+    np.testing.assert_allclose(imported.base.inertia, expected, atol=2e-6)
 
 
 def test_torque_limits_come_from_joints_or_actuators(tmp_path: Path) -> None:

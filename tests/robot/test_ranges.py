@@ -80,6 +80,15 @@ def test_a_missing_table_is_rejected(tmp_path: Path, name: str):
         load_ranges(name, tmp_path)
 
 
+def test_a_robots_own_tables_have_any_name(tmp_path: Path):
+    shutil.copytree(RobotDescription.load("go2").folder, tmp_path / "mine")
+    (tmp_path / "mine/ranges").mkdir(exist_ok=True)
+    (tmp_path / "mine/ranges/windy.yaml").write_text("base_mass_ratio: [0.9, 1.1]\n")
+    assert load_ranges("windy", robot=tmp_path / "mine") == {"base_mass_ratio": (0.9, 1.1)}
+    with pytest.raises(SurefootError, match=r"randomize 'wind' .*; did you mean windy"):
+        load_ranges("wind", robot=tmp_path / "mine")
+
+
 OTHERS = {name: given for name, given in TABLE_1.items() if name != "control_latency"}
 
 

@@ -141,7 +141,7 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
     """Load a table of ranges for a robot, in the order of `PARAMETERS`.
 
     Args:
-        name: name of a built-in table (a table of the same name in the robot's folder takes precedence), or of a
+        name: name of a table in the folder `ranges` of the robot, which takes precedence, of a built-in table, or of a
             parameter file in the robot's folder; or the path of a table (.yaml), or of a parameter file (.toml) whose
             confidence intervals are the ranges.
         folder: folder to which the path is relative.
@@ -152,14 +152,19 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
     """
     description = RobotDescription.load(robot)
     own = description.folder
-    paths = [folder / name] if name == "robot" else [own / f"{name}.toml", folder / name]
+    tables = [own / "ranges" / f"{name}.yaml", _RANGES_FOLDER / f"{name}.yaml"]
     if name in range_names():
-        paths = [own / "ranges" / f"{name}.yaml", _RANGES_FOLDER / f"{name}.yaml"]
+        paths = tables
+    elif name == "robot":
+        paths = [folder / name]
+    else:
+        paths = [*tables[:1], own / f"{name}.toml", folder / name]
     with describe_os_errors(f"randomize {quote(name)}"):
         path = next((path for path in paths if path.is_file()), None)
     if path is None:
+        names = sorted({*range_names(), *(file.stem for file in (own / "ranges").glob("*.yaml"))})
         raise SurefootError(
-            f"randomize {quote(name)} does not exist; {suggest(name, range_names())}, or the path of a YAML file"
+            f"randomize {quote(name)} does not exist; {suggest(name, names)}, or the path of a YAML file"
         )
     data = _read_intervals(path, description) if path.suffix == ".toml" else read_yaml(path)
     with prefix_errors(path):

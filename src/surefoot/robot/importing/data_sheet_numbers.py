@@ -29,7 +29,7 @@ def motor_order(robot: ImportedRobot) -> str:
 
 
 def leg_space(robot: ImportedRobot) -> list[str]:
-    """Return lines with the command ranges, which are the usual ranges restricted to the limits of all joints."""
+    """Return lines with the command ranges: abduction and extension within the limits of their joints, usual swing."""
     upper, lower = np.linalg.norm(robot.links, axis=-1)
     bends = np.sort(np.abs(robot.knee_bends), axis=1)
     bends[np.prod(robot.knee_bends, axis=1) < 0, 0] = 0.0  # the straight leg is in the knee's range

@@ -85,7 +85,7 @@ def explain_mujoco(message: str, path: Path) -> SurefootError:
 
 
 def check_legs(
-    path: Path, base: str, chains: Sequence[Sequence[str]], branches: str | None, has_loops: bool, slides: Sequence[str]
+    path: Path, base: str, chains: Sequence[Sequence[str]], branches: str | None, coupled: str, slides: Sequence[str]
 ) -> None:
     """Reject robots that are not quadrupeds with serial legs of two or three hinges.
 
@@ -94,7 +94,7 @@ def check_legs(
         base: name of the body to which the legs are attached.
         chains: joint names of each leg, from the base to the foot.
         branches: name of a leg body with more than one child, or None.
-        has_loops: whether the robot has closed loops.
+        coupled: how the legs are coupled, such as "closed loops"; empty if they are not.
         slides: names of leg bodies whose joint is not a single hinge.
     """
     lengths = [len(chain) for chain in chains]
@@ -107,8 +107,8 @@ def check_legs(
     elif len(chains) == 2 or (branches and max(lengths) > 3):
         branching = f", which branch at {branches!r}" if branches else ""
         why = f"is a biped, humanoid or other robot: {structure}{branching}"
-    elif has_loops or branches:
-        why = f"has {'closed loops' if has_loops else f'legs that branch at {branches!r}'}; {by_hand}"
+    elif coupled or branches:
+        why = f"has {coupled or f'legs that branch at {branches!r}'}; {by_hand}"
     elif len(chains) == 8 and max(lengths) <= 2:
         why = f"has two chains per leg ({structure}); {by_hand}"
     elif len(chains) != 4:

@@ -40,7 +40,8 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
 
     The <inertial> of a massless link is removed. Zero, missing or negative inertias are estimated from shapes for
     moving links, for heavy links, and for all links if no link has an inertia. Physically impossible inertias are
-    noted, and MuJoCo balances them.
+    noted, and MuJoCo balances them, by the mean of the three moments; those that are only rounded get the closest
+    possible largest moment.
     """
     moved, frames, odd = _moved_links(root), [], []
     inertials: dict[str, tuple[ElementTree.Element, float, Array]] = {}
@@ -90,10 +91,24 @@ def prepare_inertias(root: ElementTree.Element, path: Path, notes: list[str]) ->
         point_mass = mass > 0 and not np.diag(inertia).any()
         if not point_mass and not (mass > 0 and are_valid_moments(principal)):
             odd.append(name)
+        elif mass > 0 and principal[2] > principal[:2].sum():
+            _round_down(tensor, inertia)
         if not principal.min() > 0:
             tensor.attrib |= _NO_PRODUCTS
     if odd:
         notes.append(f"inertias that no rigid body can have are balanced: {choices(odd)}")
+
+
+def _round_down(tensor: ElementTree.Element, inertia: Array) -> None:
+    """Write an inertia whose largest moment is the sum of the others, which is the most that a rigid body can have."""
+    moments, axes = np.linalg.eigh(inertia)
+    moments[2] = moments[:2].sum() * (1 - 1e-9)  # MuJoCo compares without a tolerance
+    inertia = axes @ np.diag(moments) @ axes.T
+    tensor.attrib |= {
+        f"i{'xyz'[row]}{'xyz'[column]}": repr(float(inertia[row, column]))
+        for row in range(3)
+        for column in range(row, 3)
+    }
 
 
 def drop_frame_masses(spec: mujoco.MjSpec, notes: list[str]) -> None:

@@ -90,11 +90,12 @@ def read_robot(path: Path, forward: str | None = None, meshes: bool = True) -> I
         if spec.compiler.inertiafromgeom == mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
             # Keep the masses of visual geoms, which `discardvisual` removes.
             spec.compiler.inertiafromgeom = mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+            _drop_inertias(spec)
         spec.compiler.fusestatic = False
         drop_frame_masses(spec, notes)
         if not meshes and root.tag == "mujoco":
             _drop_files(spec)
-        keys = {key.name: list(key.qpos) for key in spec.keys}
+        keys = [(key.name, list(key.qpos)) for key in spec.keys]
         for key in list(spec.keys):
             spec.delete(key)
         model = spec.compile()
@@ -113,10 +114,18 @@ def _drop_files(spec: mujoco.MjSpec) -> None:
         spec.delete(item)
 
 
-def _keyframe_poses(keys: dict[str, list[float]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
-    """Yield source and joint angles of each keyframe; `keys` has `qpos` by keyframe name."""
+def _drop_inertias(spec: mujoco.MjSpec) -> None:
+    """Remove the inertias of bodies whose geoms have masses, as `inertiafromgeom="true"` does."""
+    for body in spec.bodies:
+        if any(geom.mass > 0 or (np.isnan(geom.mass) and geom.density > 0) for geom in body.geoms):
+            body.explicitinertial = False
+            body.ipos = np.full(3, np.nan)
+
+
+def _keyframe_poses(keys: Sequence[tuple[str, list[float]]], model: mujoco.MjModel) -> Iterator[tuple[str, Pose]]:
+    """Yield source and joint angles of each keyframe; `keys` has names, which may be empty, and `qpos`."""
     hinges = np.flatnonzero(model.jnt_type == mjtJoint.mjJNT_HINGE)
-    for name, qpos in keys.items():
+    for name, qpos in keys:
         if len(qpos) == model.nq:
             yield f"keyframe '{name}'", {model.joint(k).name: qpos[model.jnt_qposadr[k]] for k in hinges}
 
@@ -162,7 +171,7 @@ def _prepare_urdf(root: ElementTree.Element, path: Path, meshes: bool, notes: li
 
 
 class _Reader:
-    """Converter of a compiled model to an `ImportedRobot`, at zero angles and with the base at the origin."""
+    """Converter of a compiled model to an `ImportedRobot`, at zero angles and in the frame of the base."""
 
     def __init__(
         self,
@@ -177,6 +186,8 @@ class _Reader:
         self.path, self.model, self.speeds, self.poses, self.notes = path, model, speeds, poses, notes
         self.file_name, self.is_urdf = file_name, is_urdf
         self.data = mujoco.MjData(model)
+        turning = np.isin(model.jnt_type, (mjtJoint.mjJNT_HINGE, mjtJoint.mjJNT_SLIDE))
+        self.data.qpos[model.jnt_qposadr[turning]] = 0.0  # not `qpos0`, which is the attribute ref of an MJCF
         mujoco.mj_kinematics(model, self.data)
         self.play = find_play(model, self.data)
         if self.play:
@@ -211,9 +222,7 @@ class _Reader:
         self.shapes = BodyShapes(self.model, self.data, self.group, visuals)
         chains, base = self._chains()
         model, data = self.model, self.data
-        if (joint := self.hinge[base]) >= 0 and model.jnt_type[joint] == mjtJoint.mjJNT_FREE:
-            data.qpos[model.jnt_qposadr[joint] :][:7] = [0, 0, 0, 1, 0, 0, 0]
-        mujoco.mj_kinematics(model, data)
+        self._move(data.xmat[base].reshape(3, 3).T.copy(), data.xpos[base].copy())
         forward = forward or self._guess_forward(chains)
         self._turn(FORWARD[forward])
         anchors = data.xanchor[self.hinge[chains]]
@@ -332,8 +341,9 @@ class _Reader:
             raise self._error(describe_wheels(self._joint_labels(wheels), self.is_urdf))
         if len(chains) == 4 and (springs := [chain[-1] for chain in chains if self._slides(chain[-1])]):
             raise self._error(describe_springs(self._joint_labels(springs), self.is_urdf))
-        legs = [chain for chain in chains if len(chain) in (2, 3)]
-        legs = legs if len(legs) == 4 else chains
+        lengths = [len(chain) for chain in chains]
+        counts = [length for length in (2, 3) if lengths.count(length) == 4]
+        legs = [chain for chain in chains if len(chain) in counts] if len(counts) == 1 else chains
         for first, *_ in (chain for chain in chains if chain not in legs):
             (name,) = self._joint_names([first])
             self.notes.append(f"joint '{name}' and the bodies below it are fixed, because they are not part of a leg")
@@ -346,8 +356,28 @@ class _Reader:
             if [model.jnt_type[joint] for joint in self._joints(body)] != [mjtJoint.mjJNT_HINGE.value]
         ]
         names = [self._joint_names(leg) for leg in legs]
-        check_legs(self.path, model.body(base).name, names, next(iter(branches), None), model.neq > 0, slides)
+        coupled = self._coupled({body for leg in legs for body in leg})
+        check_legs(self.path, model.body(base).name, names, next(iter(branches), None), coupled, slides)
+        if nameless := [body for leg in legs for body in leg if not self._joint_names([body])[0]]:
+            raise self._error(f"{self._joint_labels(nameless)[0]} has no name; name the joints of all legs")
         return legs, base
+
+    def _coupled(self, bodies: set[int]) -> str:
+        """Return how an active equality constrains one of the bodies, such as "closed loops"; empty if none does."""
+        model = self.model
+        for k in np.flatnonzero(model.eq_active0):
+            ends = [int(index) for index in (model.eq_obj1id[k], model.eq_obj2id[k]) if index >= 0]
+            if model.eq_type[k] == mujoco.mjtEq.mjEQ_JOINT.value:
+                if held := [joint for joint in ends if int(self.group[model.jnt_bodyid[joint]]) in bodies]:
+                    return f"a joint that follows another one or is held, '{model.joint(held[0]).name}'"
+                continue
+            if model.eq_objtype[k] == mujoco.mjtObj.mjOBJ_SITE.value:
+                ends = [int(model.site_bodyid[site]) for site in ends]
+            elif model.eq_objtype[k] != mujoco.mjtObj.mjOBJ_BODY.value:
+                return "tendons or flexible parts with constraints"
+            if any(int(self.group[body]) in bodies for body in ends):
+                return "closed loops"
+        return ""
 
     def _joint_labels(self, bodies: list[int]) -> list[str]:
         """Return the names of the bodies' joints for messages; a joint without a name is described by its body."""
@@ -381,9 +411,19 @@ class _Reader:
     def _turn(self, angle: float) -> None:
         """Rotate all positions and frames about z by `angle` [rad], so that x is forward."""
         cos, sin = np.cos(angle).round(12), np.sin(angle).round(12)
-        turn, data = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), self.data
-        for vectors in (data.xpos, data.xipos, data.xanchor, data.xaxis, data.geom_xpos):
-            vectors[:] = vectors @ turn.T
+        self._move(np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]]), np.zeros(3))
+
+    def _move(self, turn: Array, origin: Array) -> None:
+        """Express all positions and frames in another frame.
+
+        Args:
+            turn: rotation matrix (3, 3) from the present frame to the other one.
+            origin: origin of the other frame in the present one (3,) [m].
+        """
+        data = self.data
+        for points in (data.xpos, data.xipos, data.xanchor, data.geom_xpos):
+            points[:] = (points - origin) @ turn.T
+        data.xaxis[:] = data.xaxis @ turn.T
         for frames in (data.xmat, data.ximat, data.geom_xmat):
             frames[:] = (turn @ frames.reshape(-1, 3, 3)).reshape(-1, 9)
 
@@ -420,6 +460,9 @@ class _Reader:
                 f"joint '{name}' should be the {part}, and its axis at zero is ({x:.2f}, {y:.2f}, {z:.2f}) with x "
                 f"forward; it must be along {'xy'[along[k]]}"
             )
+        if (stiff := joints[model.jnt_stiffness.reshape(model.njnt, -1)[joints, 0] > 0]).size:
+            named = choices(str(model.joint(int(joint)).name) for joint in stiff)
+            self.notes.append(f"springs at joints are left out, which changes the torques for standing: {named}")
         dofs = model.jnt_dofadr[joints]
         damping = model.dof_damping.reshape(model.nv, -1)[dofs, 0]
         servos = read_servos(model, joints, damping)

@@ -77,16 +77,17 @@ def _gains(model: mujoco.MjModel, joint: int) -> tuple[float, float]:
 
 
 def _torque(model: mujoco.MjModel, joint: int) -> float:
-    """Return the torque limit of a joint or of its actuator; NaN if there is none."""
-    if model.jnt_actfrclimited[joint]:
-        return float(np.abs(model.jnt_actfrcrange[joint]).max())
+    """Return the smallest torque limit of a joint and its first limited actuator; NaN if there is none."""
+    limits = [float(np.abs(model.jnt_actfrcrange[joint]).max())] if model.jnt_actfrclimited[joint] else []
     for k in _joint_actuators(model, joint):
-        gear = abs(float(model.actuator_gear[k, 0]))
+        gear, own = abs(float(model.actuator_gear[k, 0])), []
         if model.actuator_forcelimited[k]:
-            return gear * float(np.abs(model.actuator_forcerange[k]).max())
+            own.append(gear * float(np.abs(model.actuator_forcerange[k]).max()))
         if model.actuator_ctrllimited[k] and _is_motor(model, k):
-            return _motor_gain(model, k) * gear * float(np.abs(model.actuator_ctrlrange[k]).max())
-    return math.nan
+            own.append(_motor_gain(model, k) * gear * float(np.abs(model.actuator_ctrlrange[k]).max()))
+        if own:
+            return min(limits + own)
+    return min(limits, default=math.nan)
 
 
 def _is_motor(model: mujoco.MjModel, actuator: int) -> bool:
