@@ -84,6 +84,8 @@ Seed = Annotated[int, Within(0, 2**32 - 1)]
 """Seed of random numbers."""
 Threads = Annotated[int, Within(0, 1024)]
 """Number of threads; 0 means one per core."""
+Count = Annotated[int, Within(1, 10_000)]
+"""Number of episodes or runs."""
 Duration = Annotated[float, Within(0, 3600, exclusive=True)]
 """Length of a run [s]."""
 NoOption = Annotated[T, tyro.conf.Fixed, tyro.conf.Suppress]

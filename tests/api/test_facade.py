@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import signal
 import subprocess
@@ -92,6 +93,12 @@ def test_play_writes_a_video_that_a_notebook_plays(tmp_path: Path):
         (lambda: surefoot.evaluate("trot", world="moon"), "world 'moon' does not exist"),
         (lambda: surefoot.evaluate("trot", params={"gravity": 1.6}), "'gravity' is not a physical parameter"),
         (lambda: surefoot.evaluate("trot", commands="path.csv"), "task 'trot' has no commands to follow"),
+        (lambda: surefoot.evaluate("trot", duration=0.0), "duration is 0; it must be over 0"),
+        (lambda: surefoot.evaluate("trot", duration=math.nan), "duration is nan; it must be a finite number"),
+        (lambda: surefoot.evaluate("trot", seed=-1), "seed is -1; it must be 0 or more"),
+        (lambda: surefoot.evaluate("trot", episodes=2.5), "episodes is 2.5; it must be"),
+        (lambda: surefoot.evaluate("trot", episodes=np.int64(0)), "episodes is 0; it must be 1 or more"),
+        (lambda: surefoot.play("trot", out="trot.mp4", duration=-1.0), "duration is -1; it must be over 0"),
         (lambda: surefoot.play("trot", out="trot.gif"), "video trot.gif: the name must end in .mp4"),
         (lambda: surefoot.train("trot", settings={"ppo": {"gama": 0.9}}), "ppo.gama is not a key; did you mean gamma"),
         (lambda: surefoot.train("trot", robot="cat"), "robot 'cat': no such robot"),

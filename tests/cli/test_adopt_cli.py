@@ -84,6 +84,19 @@ def test_a_policy_that_observes_the_velocity_is_adopted_and_examined_with_the_es
     assert "with the true speed of the base" in (tmp_path / "page" / "examination.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--interface eth0", "--interface is given; it is for a robot: give --port, or --link dds"),
+        ("--lockstep", "--lockstep is given; it is for a robot"),
+        ("--pings 20", "--pings is given; it is for a robot"),
+    ],
+)
+def test_options_of_a_robot_are_not_ignored_without_one(adopted, words, message, capsys):
+    assert main(["doctor", str(adopted), *words.split()]) == 2
+    assert message in capsys.readouterr().err
+
+
 def test_doctor_lists_the_changes_tried(adopted, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("surefoot.adopt.mistakes._CORRECTION_KINDS", ())
     for module in ("examination", "diagnosis"):

@@ -169,6 +169,7 @@ def test_a_released_policy_is_found_by_name(policy: Path, tmp_path: Path, monkey
 def recorded(policy: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, object]]:
     """Folder with the traces of three runs, and the output of the `evaluate` command that ran them."""
     folder = tmp_path_factory.mktemp("recorded")
+    (folder / "episode_007.npz").write_bytes(b"of an earlier run")  # which must not count as one of these
     done = surefoot("evaluate", policy, "--episodes", "3", "--out", folder, "--json")
     assert done.returncode == 0, done.stderr
     return folder, json.loads(done.stdout)

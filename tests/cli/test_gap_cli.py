@@ -124,6 +124,7 @@ def test_a_robot_without_motion_capture_has_an_estimated_return(here: Path):
     sides = ["--from", "trace", "gap/trot/mujoco-away", "--to", "trace", "robot", "--out", "compared"]
     output = result(["trot.onnx", *sides])
     assert output["estimated"] == ["robot/run_000.npz", "robot/run_001.npz"]
+    assert output["runs"] is None  # nothing was simulated
     measured, estimated = output["policies"][0]["worlds"]
     # These runs last a third of a second, in which the trot begins.
     assert estimated["return_mean"] == pytest.approx(measured["return_mean"], abs=0.03)

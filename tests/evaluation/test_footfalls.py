@@ -53,7 +53,7 @@ def contacts(
 
 
 def analyzed(touch: NDArray[np.float64], time: NDArray[np.float64], names: Sequence[str] = FEET) -> Footfalls:
-    trace: Any = SimpleNamespace(foot_contact=touch, time=time, leg_names=tuple(names))
+    trace: Any = SimpleNamespace(foot_contact=touch, elapsed=time, leg_names=tuple(names))
     return analyze_footfalls(trace)
 
 

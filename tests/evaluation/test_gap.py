@@ -30,6 +30,15 @@ def test_pooling_keeps_all_runs_of_the_policies():
     assert pooled.gap("bullet") == MeanEstimate(5.0, pytest.approx(1.0))
 
 
+def test_the_means_of_a_pool_count_every_policy_once():
+    # As the gap does: the difference of the returns is the gap also if the policies have different numbers of runs.
+    first = policy_gap("a", [4.0, 4.0, 4.0], {"robot": [3.0] * 9})
+    second = policy_gap("b", [1.0, 1.0, 1.0], {"robot": [0.5]})
+    home, robot = PolicyGap.pooled("both", [first, second]).rows()
+    assert (home["return_mean"], robot["return_mean"], robot["gap"]) == (2.5, 1.75, 0.75)
+    assert (robot["return_error"], robot["runs"]) == (1.25, 10)
+
+
 def test_a_gap_has_one_row_per_world():
     policy = policy_gap("p", [3.0, 5.0], {"bullet": [1.0, 3.0], "robot": [math.nan]})
     home, bullet, robot = policy.rows()

@@ -14,10 +14,10 @@ from run_tables import policy_gap
 
 from surefoot.api.episodes import saturation_note
 from surefoot.errors import SurefootError
-from surefoot.evaluation.footfalls import FEET
+from surefoot.evaluation.footfalls import FEET, analyze_footfalls
 from surefoot.evaluation.gap import PolicyGap
-from surefoot.evaluation.runs import measure_runs, summarize
-from surefoot.task.trace import EpisodeTrace
+from surefoot.evaluation.runs import measure_runs, summarize, summarize_load
+from surefoot.task.trace import IMPORTED_LOG, EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
 MASS = 7.473
@@ -119,6 +119,23 @@ def test_summary_of_a_robot_without_a_measured_position(make_trace: MakeRun) -> 
     assert summary["phases"]["back_left"] is None
     assert summary["gait"] == "other"
     json.dumps(summary, allow_nan=False)
+
+
+def test_the_hottest_motor_is_unknown_without_heat(make_run: MakeRun) -> None:
+    trace = make_run(arrays={"motor_heat": np.full((100, 8), np.nan)})
+    load = summarize_load([trace], 9.81 * MASS)
+    assert (load["hottest_motor"], load["hottest_heat"]) == (None, None)
+
+
+def test_an_imported_log_may_begin_at_any_time(make_trace: MakeRun) -> None:
+    trace = make_trace()
+    early = replace(trace, meta=trace.meta | {"world": IMPORTED_LOG})
+    late = replace(early, time=early.time + 100.0)
+    expected, summary = (summarize([one], MASS) for one in (trace, late))
+    assert (summary["gait"], summary["world"]) == (expected["gait"], IMPORTED_LOG)
+    assert summary["duty_factor"] == pytest.approx(expected["duty_factor"])
+    assert summary["speed_mean"] == pytest.approx(expected["speed_mean"])
+    assert analyze_footfalls(late).window == pytest.approx(analyze_footfalls(trace).window)
 
 
 def test_summary_rejects_traces_of_several_policies(make_trace: MakeRun) -> None:

@@ -10,6 +10,7 @@ import pytest
 from scripted_world import COMMAND_LIMITS as LIMITS
 
 from surefoot.errors import SurefootError
+from surefoot.evaluation.runs import command_metrics
 from surefoot.evaluation.tracking import (
     GRID_SIZE,
     Tracking,
@@ -89,6 +90,24 @@ def test_errors_are_nan_without_commands(trace_of: MakeTrace) -> None:
     assert np.isnan(trace.command).all()
     errors = Tracking.from_traces([trace], 0.5)
     assert errors.to_mapping()["rmse"] == {"forward": None, "sideways": None, "yaw_rate": None}
+
+
+def test_unmeasured_motion_is_no_failure(trace_of: MakeTrace) -> None:
+    command = np.tile([0.5, 0.0, 0.0], (100, 1))
+    good = trace_of(command[:, :2], np.zeros(101), command)
+    assert command_metrics([good])["success"] == 1.0
+    unknown = replace(good, base_position_world=np.full_like(good.base_position_world, np.nan))
+    assert command_metrics([unknown])["success"] is None
+    assert command_metrics([good, unknown])["success"] == 1.0
+    # A run that fell has failed, whatever is known of its motion.
+    fell = replace(unknown, meta=unknown.meta | {"ended": "fall"})
+    assert command_metrics([good, fell])["success"] == 0.5
+    # One row without a position leaves out two control steps.
+    position = good.base_position_world.copy()
+    position[70] = np.nan
+    gap = replace(good, base_position_world=position)
+    assert command_metrics([gap])["success"] is None
+    np.testing.assert_allclose(Tracking.from_traces([gap], 0.1).rmse, 0.0, atol=1e-9)
 
 
 def test_commands_are_stored_in_a_traces_file(trace_of: MakeTrace, tmp_path) -> None:

@@ -201,9 +201,9 @@ class Board:
         return Mode(self.states[-1].mode), Reason(self.states[-1].reason)
 
 
-def build(folder: Path, *changes: tuple[str, str]) -> Path:
+def build(folder: Path, *changes: tuple[str, str], robot: RobotDescription = ROBOT) -> Path:
     """Return the compiled program, with changes of the driver."""
-    write_sources(folder, ROBOT)
+    write_sources(folder, robot)
     (folder / "harness.c").write_text(HARNESS)
     source = (driver := folder / "drivers" / "can_motors.c").read_text()
     for old, new in changes:
@@ -214,7 +214,12 @@ def build(folder: Path, *changes: tuple[str, str]) -> Path:
     words += ["-fsanitize=undefined", "-fsanitize-undefined-trap-on-error"]
     words += [f"-I{folder / name}" for name in ("core", "drivers")]
     sources = driver, folder / "core" / "board.c", folder / "harness.c"
-    subprocess.run([*words, *map(str, sources), "-lm", "-o", str(folder / "board.so")], check=True)
+    subprocess.run(
+        [*words, *map(str, sources), "-lm", "-o", str(folder / "board.so")],
+        check=True,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     return folder / "board.so"
 
 
@@ -427,6 +432,12 @@ def test_a_missing_drive_prevents_arming(board):
     assert board.faults[0].text == "the drive of motor 11 does not answer"
     assert np.isnan(board.states[-1].motor_angle[11])
     assert all(drive.command[2] == 0.0 for drive in board.drives)
+
+
+def test_the_driver_is_not_for_motors_whose_gains_are_duties(tmp_path: Path):
+    with pytest.raises(subprocess.CalledProcessError) as failed:
+        build(tmp_path, robot=RobotDescription.load("minitaur"))
+    assert "the gains of this robot are duties of DC motors" in failed.value.stderr
 
 
 @needs_qemu

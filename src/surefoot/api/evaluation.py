@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from surefoot.api.policies import Candidate, run_policy
 from surefoot.api.results import Evaluation, Policy
+from surefoot.configuration import Count, Duration, Seed, Threads, from_mapping
 from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
 from surefoot.world.registry import WORLDS, find_world
@@ -18,6 +22,26 @@ if TYPE_CHECKING:
     from surefoot.evaluation.sensitivity import Sensitivity
     from surefoot.task.commands import CommandConfig
     from surefoot.task.trace import EpisodeTrace
+
+
+@dataclass(frozen=True)
+class _RunArguments:
+    """Numbers of a run, with the bounds of the commands' options."""
+
+    episodes: Count = 1
+    seed: Seed = 1
+    duration: Duration | None = None
+    threads: Threads = 0
+
+
+def check_arguments(**values: Any) -> None:
+    """Check episodes, seed, duration [s] and threads of a run, those that are given.
+
+    Raises:
+        SurefootError: with the first one that is not a number within its bounds.
+    """
+    plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in values.items()}
+    from_mapping(_RunArguments, plain)
 
 
 def run_evaluation(policy: Policy, episodes: int, world: str, seed: int, threads: int = 0) -> Evaluation:

@@ -137,11 +137,12 @@ def evaluate(
     Raises:
         SurefootError: a policy, world or value does not exist or is not valid.
     """
-    from surefoot.api.evaluation import run_evaluation
+    from surefoot.api.evaluation import check_arguments, run_evaluation
     from surefoot.world.registry import find_world
 
     find_world(world)
     loaded = load(policy, robot=robot)
+    check_arguments(episodes=episodes, seed=seed, duration=duration, threads=threads)
     condition = _condition(
         loaded, params, duration, randomize, pushes=pushes, push_force=push_force, commands=commands, terrain=terrain
     )
@@ -182,6 +183,7 @@ def play(
     """
     _require_drawing()
     from surefoot.api.episodes import film
+    from surefoot.api.evaluation import check_arguments
     from surefoot.api.policies import run_policy
     from surefoot.world.registry import find_world
 
@@ -191,6 +193,7 @@ def play(
     path = folder / f"{loaded.name}.mp4" if out is None else Path(out)
     if path.suffix.lower() != ".mp4":
         raise SurefootError(f"video {path}: the name must end in .mp4")
+    check_arguments(seed=seed, duration=duration)
     condition = _condition(loaded, params, duration, pushes=pushes, commands=commands, terrain=terrain)
     task = condition.apply(loaded.task, loaded.robot)
     (trace,) = run_policy(loaded.controller, task, 1, world, seed, name=loaded.name)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Annotated
 
@@ -77,9 +78,11 @@ def main(argv: list[str]) -> int:
     command = parse(DoctorCommand, argv, "surefoot doctor")
     if command.port is None and command.link == "serial":
         return _examine(command)
-    for name in ("out", "correct"):
-        if getattr(command, name) is not None:
-            raise SurefootError(f"--{name} is given; it applies to the simulation of an adopted policy, without --port")
+    _reject(
+        command,
+        ("world", "seed", "threads", "out", "correct"),
+        "for the simulation of an adopted policy, without --port",
+    )
     command.check_link()
     if command.rack and command.ground:
         raise SurefootError("--rack and --ground can't be combined; choose where the robot is")
@@ -116,11 +119,21 @@ def main(argv: list[str]) -> int:
     return FAILED if counts[False] else 0
 
 
+def _reject(command: DoctorCommand, names: Sequence[str], purpose: str) -> None:
+    """Reject options that differ from their default."""
+    for item in fields(command):
+        if item.name in names and getattr(command, item.name) != item.default:
+            raise SurefootError(f"--{item.name} is given; it is {purpose}")
+
+
 def _examine(command: DoctorCommand) -> int:
     """Examine an adopted policy in simulation."""
     contract = open_policy(find_policy(command.policy), command.robot)[0].contract
     if "adopted" not in contract.figures or command.rack or command.ground:
         command.check_link()  # a policy that was not adopted, and motions, require a robot
+    needs_robot = "for a robot: give --port, or --link dds --interface NAME"
+    command.reject_link(f"it is {needs_robot}")
+    _reject(command, ("yes", "pings", "steps"), needs_robot)
     from surefoot.api.adopted import examine_policy
 
     world, seed, threads = command.world, command.seed, command.threads

@@ -82,7 +82,9 @@ def main(argv: list[str]) -> int:
 
         summary["estimated_intervals"] = estimate_intervals(traces, summary)
     if command.out is not None:
-        files = [] if command.trace else [t.save(command.out / f"episode_{i:03d}.npz") for i, t in enumerate(traces)]
+        from surefoot.evaluation.recorded import save_runs
+
+        files = [] if command.trace else [path for path, _ in save_runs(command.out, traces, "episode")]
         figures = draw_episode(command.out, traces[0], robot)
         if command.command_grid:
             from surefoot.report.figures.tracking import tracking_figure

@@ -289,7 +289,7 @@ def _report(
         "robot": robot.name,
         "from": _text(sides[0]),
         "to": list(map(_text, sides[1:])),
-        "runs": command.episodes,
+        "runs": command.episodes if any(isinstance(side, str) for side in sides) else None,
         "seed": command.seed,
         "pushes": command.pushes,
         "policies": [

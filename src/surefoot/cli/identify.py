@@ -99,6 +99,9 @@ def _identify_from_traces(argv: list[str]) -> int:
         ("hold-out", command.hold_out),
         ("generations", command.generations),
         ("set", command.settings),
+        ("plan", command.plan),
+        ("duration", command.duration is not None),
+        ("seed", command.seed != 1),
     ):
         if value:
             raise SurefootError(f"--{option} is for logs of a robot with joint actuators; name the robot with --robot")
@@ -194,10 +197,11 @@ def _check_options(command: ExperimentCommand) -> None:
         command.check_link()
         command.gains()
     else:
-        for name in ("record_only", "yes", "lockstep"):
-            if getattr(command, name):
-                option = name.replace("_", "-")
-                raise SurefootError(f"--recording and --{option} can't be combined; a recording needs no robot")
+        without = "it can't be combined with --recording, which needs no robot"
+        command.reject_link(without)
+        for option, value in (("record-only", command.record_only), ("yes", command.yes), ("set", command.settings)):
+            if value:
+                raise SurefootError(f"--{option} is given; {without}")
     if command.record_only and command.params is not None:
         raise SurefootError("--record-only and --params can't be combined; only the fit uses parameters")
     check_suffix("params", command.params, ".toml")

@@ -113,7 +113,7 @@ class Condition:
         if self.terrain is not None:
             task = on_terrain(task, self.terrain)
         if self.duration is not None or self.same_duration:
-            return with_duration(task, robot, self.duration or episode_duration(trained))
+            return with_duration(task, robot, episode_duration(trained) if self.duration is None else self.duration)
         lengthened = with_duration(task, robot, schedule_duration(commands.schedule))
         return lengthened if lengthened.max_steps > task.max_steps else task
 

@@ -82,7 +82,7 @@ def analyze_footfalls(trace: EpisodeTrace) -> Footfalls:
     shorter than `DEBOUNCE`, contacts shorter than `DEBOUNCE`; then losses and contacts shorter than a tenth of the
     stride period.
     """
-    touch, clock, names = trace.foot_contact, trace.time, trace.leg_names
+    touch, clock, names = trace.foot_contact, trace.elapsed, trace.leg_names
     start = min(TRANSIENT, clock[-1] / 3.0)
     window = (float(start), float(clock[-1]))
     if np.isnan(touch).any():

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.arrays import Array
-from surefoot.evaluation.runs import summarize_runs
+from surefoot.evaluation.runs import MEANS, summarize_runs
 from surefoot.evaluation.statistics import MeanEstimate
 from surefoot.tables import with_unit
 
@@ -90,12 +90,21 @@ class PolicyGap:
         home = self.table(self.worlds[0], "return").mean(axis=1, keepdims=True)
         return home - self.table(world, "return")
 
+    def level(self, world: str, column: str) -> MeanEstimate:
+        """Return the mean of a column in a world, over runs, or over the means of several policies; see `gap`."""
+        runs = self.in_world(world)
+        means = runs.groupby("policy", sort=False)[column].mean()
+        return MeanEstimate.from_values(runs[column] if len(means) == 1 else means)
+
     def rows(self) -> list[dict[str, Any]]:
-        """Return one row per world, the training world first: means and standard errors of its runs, and the gap."""
+        """Return one row per world, the training world first: means with standard errors, see `level`, and the gap."""
         rows = []
         for number, world in enumerate(self.worlds):
             gap, side = (self.gap(world), "away") if number else (MeanEstimate(), "home")
             summary = summarize_runs(self.in_world(world))
+            for column in MEANS:
+                level = self.level(world, column)
+                summary |= {f"{column}_mean": level.mean, f"{column}_error": level.error}
             rows.append({"policy": self.name, "side": side, **summary, "gap": gap.mean, "gap_error": gap.error})
         return rows
 

@@ -61,11 +61,11 @@ def _made(name: str, seed: int) -> Ground:
     return make_terrain(name, seed) if ":" in name and not is_map(name) else FLAT
 
 
-def save_runs(folder: Path, traces: Sequence[EpisodeTrace]) -> RecordedTraces:
-    """Write traces as run_000.npz, run_001.npz, ... into a folder, and remove its earlier ones."""
-    for old in folder.glob("run_*.npz"):
+def save_runs(folder: Path, traces: Sequence[EpisodeTrace], name: str = "run") -> RecordedTraces:
+    """Write traces as NAME_000.npz, NAME_001.npz, ... into a folder, and remove its earlier ones."""
+    for old in folder.glob(f"{name}_*.npz"):
         old.unlink()
-    return [(trace.save(folder / f"run_{i:03d}.npz"), trace) for i, trace in enumerate(traces)]
+    return [(trace.save(folder / f"{name}_{i:03d}.npz"), trace) for i, trace in enumerate(traces)]
 
 
 def _load(path: Path) -> EpisodeTrace:

@@ -21,6 +21,8 @@ from surefoot.robot import GRAVITY
 from surefoot.tables import plain_value
 from surefoot.task.trace import EpisodeTrace
 
+MEANS = ("return", "distance", "speed", "power", "steps")
+"""Columns of runs whose means are summarized."""
 MIN_LIMITING_SATURATION = 0.25
 """Fraction of time at its limit from which a motor counts as limiting a gait. A trotting leg is in stance for half of
 the time, so this is half of every stance; trots with enough torque stay below 0.04."""
@@ -109,7 +111,7 @@ def common_value(traces: Sequence[EpisodeTrace], name: str) -> str:
 def summarize_runs(runs: pd.DataFrame) -> dict[str, Any]:
     """Return the summary of runs in one world: means with standard errors, falls and success rate."""
     row: dict[str, Any] = {"world": runs.world.iloc[0], "runs": len(runs)}
-    for name in ("return", "distance", "speed", "power", "steps"):
+    for name in MEANS:
         estimate = MeanEstimate.from_values(runs[name])
         row |= {f"{name}_mean": estimate.mean, f"{name}_error": estimate.error}
     return row | {"falls": int(runs.fell.sum()), "success_rate": float(runs.balanced.mean())}
@@ -165,7 +167,8 @@ def summarize(traces: Sequence[EpisodeTrace], total_mass: float) -> dict[str, An
 def command_metrics(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
     """Return how well episodes follow their commands: `rmse` and `rmse_stride` by command, see `Tracking`, and success.
 
-    Success is the fraction of successful episodes, see `is_successful`. Empty without commands.
+    Success is the fraction of successful episodes, see `is_successful`, of those in which the motion was measured.
+    Empty without commands.
     """
     commanded = [trace for trace in traces if is_commanded(trace)]
     if not commanded:
@@ -196,6 +199,8 @@ def _hottest(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
     time = sum(trace.duration for trace in traces)
     heat = np.sum([trace.motor_heat.sum(axis=0) for trace in traces], axis=0)
     hottest = int(heat.argmax())
+    if not np.isfinite(heat).all():
+        return {"hottest_motor": None, "hottest_heat": None}
     return {
         "hottest_motor": traces[0].meta["motor_names"][hottest],
         "hottest_heat": plain_value(float(heat[hottest] / time)),

@@ -35,8 +35,8 @@ class Tracking:
     def from_traces(cls, traces: Iterable[EpisodeTrace], stride: float | None = None) -> Tracking:
         """Return the tracking errors of recorded runs with commands.
 
-        Control steps within `SETTLING_TIME` after a change of the command are left out, and so are strides that contain
-        one.
+        Control steps within `SETTLING_TIME` after a change of the command are left out, also those in which the motion
+        was not measured, and so are strides that contain one.
 
         Args:
             traces: the runs.
@@ -44,7 +44,8 @@ class Tracking:
         """
         steps, strides = [np.empty((0, 3))], [np.empty((0, 3))]
         for trace in traces:
-            errors, settled = measured_velocity(trace) - trace.command, settled_mask(trace)
+            errors = measured_velocity(trace) - trace.command
+            settled = settled_mask(trace) & np.isfinite(errors).all(axis=1)
             steps.append(errors[settled])
             period = stride or trace.meta["gait_period"] or DEFAULT_STRIDE
             count = max(round(period / trace.meta["control_step"]), 1)
@@ -100,21 +101,26 @@ def distance_along(trace: EpisodeTrace) -> float:
     return float(_step_distances(trace)[1].sum())
 
 
-def is_successful(trace: EpisodeTrace) -> bool:
-    """Return whether a run ended without a fall and covered 0.7 to 1.25 times the commanded path."""
-    commanded, covered = _step_distances(trace)
-    return bool(is_success(commanded.sum(), covered.sum(), np.asarray(trace.meta["ended"] == "time")))
+def is_successful(trace: EpisodeTrace) -> bool | None:
+    """Return whether a run ended without a fall and covered 0.7 to 1.25 times the commanded path.
+
+    None if it did not fall and its motion was not measured.
+    """
+    commanded, covered = (distances.sum() for distances in _step_distances(trace))
+    if trace.meta["ended"] == "time" and not np.isfinite(covered):
+        return None
+    return bool(is_success(commanded, covered, np.asarray(trace.meta["ended"] == "time")))
 
 
 def _step_distances(trace: EpisodeTrace) -> tuple[Array, Array]:
     return step_distances(
-        np.nan_to_num(trace.command[:, :2]), measured_velocity(trace)[:, :2], np.diff(trace.time, prepend=0.0)
+        np.nan_to_num(trace.command[:, :2]), measured_velocity(trace)[:, :2], np.diff(trace.elapsed, prepend=0.0)
     )
 
 
 def measured_velocity(trace: EpisodeTrace) -> Array:
     """Return the mean forward and left speed [m/s] and yaw rate [rad/s] of each control step (T, 3)."""
-    return mean_velocity(np.diff(trace.time, prepend=0.0), trace.base_position_world, trace.base_quat_world)
+    return mean_velocity(np.diff(trace.elapsed, prepend=0.0), trace.base_position_world, trace.base_quat_world)
 
 
 def mean_velocity(step: Array, position: Array, quat: Array) -> Array:
@@ -134,7 +140,8 @@ def mean_velocity(step: Array, position: Array, quat: Array) -> Array:
 def settled_mask(trace: EpisodeTrace) -> np.ndarray:
     """Return for each control step whether its command has been constant for `SETTLING_TIME` (T,)."""
     changed = np.any(np.diff(trace.command, axis=0, prepend=np.nan) != 0, axis=1)
-    since = trace.time - np.maximum.accumulate(np.where(changed, np.concatenate([[0.0], trace.time[:-1]]), 0.0))
+    time = trace.elapsed
+    since = time - np.maximum.accumulate(np.where(changed, np.concatenate([[0.0], time[:-1]]), 0.0))
     settled: np.ndarray = np.isfinite(trace.command).all(axis=1) & (since >= SETTLING_TIME - 1e-9)
     return settled
 

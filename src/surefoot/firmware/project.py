@@ -48,6 +48,8 @@ def robot_header(robot: RobotDescription, limits: Limits | None = None, handshak
         f'#define ROBOT_SCHEMA_TEXT "{Codec(robot.num_motors).schema:#010x}"',
         *_limits(limits),
         *("", "static const surefoot_handshake robot_handshake = {", *_handshake(handshake), "};", ""),
+        "/* Whether effort, gains and limits are torques [N m] of joint actuators, instead of duties of DC motors. */",
+        f"#define ROBOT_EFFORT_IS_TORQUE {int(isinstance(actuator, JointActuatorData))}",
         "/* Maximum duty of DC motors, or maximum torque [N m] of joint actuators. */",
         f"static const float robot_effort_limit[] = {_floats(np.broadcast_to(limit, robot.num_motors))};",
         f"static const char *const reason_names[] = {{{names}}};",

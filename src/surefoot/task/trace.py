@@ -238,10 +238,15 @@ class EpisodeTrace:
         return len(self.time)
 
     @property
-    def duration(self) -> float:
-        """Duration of the episode [s]; an imported log may begin at any time."""
+    def elapsed(self) -> Array:
+        """Time since the start of the episode (T,) [s]; `time` of an imported log may begin anywhere."""
         start = self.time[0] - self.meta["control_step"] if self.is_imported else 0.0
-        return float(self.time[-1] - start)
+        return np.asarray(self.time - start)
+
+    @property
+    def duration(self) -> float:
+        """Duration of the episode [s]."""
+        return float(self.elapsed[-1])
 
     @property
     def fell(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Annotated, Literal
 
 import tyro
@@ -61,7 +61,7 @@ class LinkOptions(SerialOptions):
         if self.link == "serial":
             if self.port is None:
                 raise SurefootError("--port is missing; for a robot over DDS, give --link dds --interface NAME")
-            for name in ("interface", "release", "hand_back"):
+            for name in ("interface", "domain", "release", "hand_back"):
                 if getattr(self, name):
                     raise SurefootError(f"--{name.replace('_', '-')} is given; it requires --link dds")
         elif self.interface is None:
@@ -69,6 +69,12 @@ class LinkOptions(SerialOptions):
         elif self.port is not None or self.lockstep:
             option = "--lockstep" if self.lockstep else "--port"
             raise SurefootError(f"{option} and --link dds can't be combined; {option} is for a serial link")
+
+    def reject_link(self, without: str) -> None:
+        """Reject options of a link; `without` says why there is none, such as "a recording needs no robot"."""
+        for item in fields(LinkOptions):
+            if getattr(self, item.name) != item.default:
+                raise SurefootError(f"--{item.name.replace('_', '-')} is given; {without}")
 
     def open_link(self, robot: RobotDescription, contract: Contract, may_ask: bool = True) -> RobotLink:
         """Open the link to a robot; over DDS the robot receives the policy's gains and a watchdog timeout.

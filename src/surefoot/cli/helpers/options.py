@@ -39,8 +39,7 @@ Pushes = Annotated[
 ]
 PushForce = Annotated[tuple[float, float] | None, Within(0, 1e6), tyro.conf.arg(metavar="LOW HIGH")]
 """Minimum and maximum force of pushes [N]."""
-Count = Annotated[int, Within(1, 10_000)]
-"""Number of episodes or runs."""
+Count = configuration.Count
 Seed = Annotated[configuration.Seed, tyro.conf.arg(help="Seed of all random numbers.")]
 Threads = Annotated[configuration.Threads, tyro.conf.arg(help="Threads of the simulation; 0 means one per core.")]
 Workers = Annotated[

@@ -14,6 +14,11 @@
 #include "can_bus.h"
 #include "drivers.h"
 #include "hal.h"
+#include "robot.h"
+
+#if !ROBOT_EFFORT_IS_TORQUE
+#error "the gains of this robot are duties of DC motors, and these drives take torques"
+#endif
 
 #define FIRST_ID 1u          /* identifier of motor 0; the others follow */
 #define SWITCH_ON 0xFCu      /* command byte that switches a drive on */

@@ -88,11 +88,11 @@ void can_start(void)
     while ((CAN_MSR & 1u) == 0u && --left > 0u) {
     }
     CAN_BTR = 2u | (10u << 16) | (1u << 20); /* 42 MHz / 3, 14 time quanta per bit, sampled after 12 */
-    CAN_FMR = 1u;
+    CAN_FMR |= 1u; /* its other bits give CAN1 its share of the filters */
     CAN_FS1R = 1u;
     CAN_F0R1 = CAN_F0R2 = 0; /* accept every frame */
     CAN_FA1R = 1u;
-    CAN_FMR = 0;
+    CAN_FMR &= ~1u;
     CAN_IER = 1u | 1u << 1;
     NVIC_ISER(0) = 1u << CAN1_TX_IRQ | 1u << CAN1_RX0_IRQ;
     CAN_MCR = 1u << 6 | 1u << 2; /* recover after errors; frames are sent in the order of their requests */

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 from surefoot.evaluation.gap import PolicyGap
-from surefoot.evaluation.statistics import CONFIDENCE, MeanEstimate, crossed_interval
+from surefoot.evaluation.statistics import CONFIDENCE, crossed_interval
 from surefoot.report.figures.style import INK, QUIET, new_figure, place_labels, spread_dots
 from surefoot.tables import with_unit
 
@@ -58,7 +58,7 @@ def _return_bar(ax: Axes, place: int, number: int, count: int, policy: PolicyGap
     world = policy.worlds[number]
     runs, wide, color = policy.in_world(world), _GROUP_WIDTH / count, f"C{number}"
     x = place + wide * (number - (count - 1) / 2)
-    estimate, measured = MeanEstimate.from_values(runs["return"]), runs[runs["return"].notna()]
+    estimate, measured = policy.level(world, "return"), runs[runs["return"].notna()]
     error = estimate.error
     if over_policies:
         table = policy.table(world, "return")

@@ -61,7 +61,7 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
 
     With velocity commands also the velocities and yaw rate with their commands, and the path seen from above.
     """
-    step = np.diff(trace.time, prepend=0.0)
+    step = np.diff(trace.elapsed, prepend=0.0)
     run, steered = measure_runs([trace]).iloc[0], bool(np.isfinite(trace.command).any())
     rows = 4 if steered else 3
     with new_figure(path, (9.0, 2.3 * rows), rows=rows, columns=2) as (figure, axes):
@@ -70,13 +70,13 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
             ("roll", BLUE, trace.roll_pitch_yaw[:, 0]),
             ("pitch", ORANGE, trace.roll_pitch_yaw[:, 1]),
         ):
-            tilt.plot(trace.time, angle, color=color, label=name, linewidth=1.0)
+            tilt.plot(trace.elapsed, angle, color=color, label=name, linewidth=1.0)
         tilt.set_title("Roll and pitch as measured (rad)")
         if steered:
             _tracking(motions, trace)
         else:
             turn, speed = motions
-            turn.plot(trace.time, np.unwrap(trace.roll_pitch_yaw[:, 2]), color=GREEN, linewidth=1.0)
+            turn.plot(trace.elapsed, np.unwrap(trace.roll_pitch_yaw[:, 2]), color=GREEN, linewidth=1.0)
             turn.set_title("Yaw as measured (rad)")
             forward = np.diff(trace.base_position_world[:, 0]) / step
             _raw_and_smooth(speed, trace, forward, BLUE, run.speed, "m/s")
@@ -87,7 +87,7 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
             ax.set_xlim(0.0, trace.duration)
         power.set_ylim(bottom=0.0)
         start = min(max(trace.duration - _ZOOM_TIME, 0.0), 2.0)
-        shown = (trace.time >= start) & (trace.time <= start + _ZOOM_TIME)
+        shown = (trace.elapsed >= start) & (trace.elapsed <= start + _ZOOM_TIME)
         poses = robot.to_pose(trace.motor_angle[shown])
         for ax, place in zip((left, right), (-2, -1), strict=True):
             angle, name, unit = poses[:, place], robot.coordinates[place], robot.leg_geometry.units[place]
@@ -95,7 +95,7 @@ def episode_plot(trace: EpisodeTrace, robot: RobotDescription, path: str | Path)
                 # Dashed lines do not hide the curve of another foot that moves in phase.
                 line = "--" if "right" in leg else "-"
                 color = LEG_COLORS.get(leg, f"C{index}")
-                ax.plot(trace.time[shown], angle[:, index], line, color=color, label=humanize(leg))
+                ax.plot(trace.elapsed[shown], angle[:, index], line, color=color, label=humanize(leg))
             ax.set_title(f"Leg: {name} over one second{'' if unit == '1' else f' ({unit})'}")
             ax.set_xlim(start, start + _ZOOM_TIME)
             ax.set_xlabel("time (s)")
@@ -112,7 +112,7 @@ def _tracking(axes: Sequence[Axes], trace: EpisodeTrace) -> None:
     titles = ("Forward velocity (m/s)", "Lateral velocity (m/s)", "Yaw rate (rad/s)")
     for column, (ax, title, color) in enumerate(zip(speeds, titles, (BLUE, ORANGE, GREEN), strict=True)):
         _raw_and_smooth(ax, trace, measured[:, column], color, math.nan, "")
-        ax.step(trace.time, trace.command[:, column], where="pre", color=INK, linewidth=1.0, label="command")
+        ax.step(trace.elapsed, trace.command[:, column], where="pre", color=INK, linewidth=1.0, label="command")
         ax.set_title(title)
     _legend_above(speeds[0])
     moved = trace.base_position_world - trace.base_position_world[0]
@@ -144,10 +144,10 @@ def _stride_text(feet: Footfalls) -> str:
 
 def _raw_and_smooth(ax: Axes, trace: EpisodeTrace, values: Array, color: str, mean: float, unit: str) -> None:
     """Draw a signal in a faint color, its moving average, and the episode's mean as a line."""
-    ax.plot(trace.time, values, color=color, alpha=0.28, linewidth=0.7)
+    ax.plot(trace.elapsed, values, color=color, alpha=0.28, linewidth=0.7)
     width = min(max(round(_MEAN_TIME / float(trace.meta["control_step"])), 1), len(values))
     smooth = np.convolve(values, np.ones(width) / width, "valid")
-    ax.plot(trace.time[width // 2 : width // 2 + len(smooth)], smooth, color=color)
+    ax.plot(trace.elapsed[width // 2 : width // 2 + len(smooth)], smooth, color=color)
     if math.isfinite(mean):
         ax.axhline(mean, color=INK, linewidth=0.9, linestyle=(0, (4, 3)), label=f"mean {mean:.3g} {unit}")
         _legend_above(ax)
@@ -179,7 +179,7 @@ def side_by_side(runs: Mapping[str, Sequence[EpisodeTrace]], path: str | Path, t
             for trace in traces:
                 moved = trace.base_position_world - trace.base_position_world[0]
                 for ax, column in ((distance, 0), (aside, 1)):
-                    ax.plot([0.0, *trace.time], moved[:, column], color=color, linewidth=1.1, alpha=0.85)
+                    ax.plot([0.0, *trace.elapsed], moved[:, column], color=color, linewidth=1.1, alpha=0.85)
                 power.plot(*_mean_power(trace), color=color, linewidth=1.1, alpha=0.85)
             first = traces[0]
             start = max((first.duration - _ZOOM_TIME) / 2, 0.0)
@@ -209,9 +209,9 @@ def side_by_side(runs: Mapping[str, Sequence[EpisodeTrace]], path: str | Path, t
 
 def _mean_power(trace: EpisodeTrace) -> tuple[Array, Array]:
     """Return times [s] and the mean power [W] over the preceding `_MEAN_TIME`, or since the start."""
-    energy, times = np.concatenate([[0.0], np.cumsum(trace.energy)]), np.concatenate([[0.0], trace.time])
-    start = np.maximum(trace.time - _MEAN_TIME, 0.0)
-    return trace.time, (energy[1:] - np.interp(start, times, energy)) / (trace.time - start)
+    energy, times = np.concatenate([[0.0], np.cumsum(trace.energy)]), np.concatenate([[0.0], trace.elapsed])
+    start = np.maximum(trace.elapsed - _MEAN_TIME, 0.0)
+    return trace.elapsed, (energy[1:] - np.interp(start, times, energy)) / (trace.elapsed - start)
 
 
 def motor_figure(

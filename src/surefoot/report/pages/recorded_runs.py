@@ -156,7 +156,7 @@ def _run(shown: ShownTrace, rate: float, node: str, ground: Ground) -> tuple[dic
     with np.errstate(divide="ignore", invalid="ignore"):
         speed = measured_velocity(trace)
     speed[~np.isfinite(speed)] = np.nan  # if times repeat
-    power = trace.energy / np.diff(trace.time, prepend=0.0).clip(1e-4)
+    power = trace.energy / np.diff(trace.elapsed, prepend=0.0).clip(1e-4)
     count = max(round(_MEAN_TIME / float(trace.meta["control_step"])), 1)
     rows, size, frames = len(trace.time), extent(robot), _link_frames(robot, f"{node}/base")
     columns = {
