@@ -23,7 +23,7 @@ from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.randomization import Ranges
 from surefoot.studies.comparison import Comparison, late_gain, policy_row, study_tables
 from surefoot.studies.study_config import GroupConfig, StudyConfig
-from surefoot.studies.study_report import report_from_tables, write_report
+from surefoot.studies.study_report import report_from_tables, report_text, write_report
 from surefoot.task.trace import EpisodeTrace
 
 MakeRun = Callable[..., EpisodeTrace]
@@ -200,6 +200,20 @@ def test_the_report_of_one_seed_has_no_intervals(tmp_path: Path) -> None:
     assert "**" not in "".join(cells(text, "Differences", "4-D, randomized"))
     assert "small_plain seed 1" in text.split("## Trainings")[0]
     assert report_from_tables(study.study, tmp_path, "command") == text
+
+
+def test_returns_of_other_rewards_have_no_unit() -> None:
+    study = comparison(("nominal", "sensitivity"))
+    assert (study.return_unit, study.primary.heading) == ("m", "return, nominal (m)")
+    steered = replace(study, study=replace(study.study, task="steer"))
+    assert (steered.return_unit, steered.primary.heading) == ("", "return, nominal")
+    assert [one.unit for one in steered.metrics if one.name in ("nominal_speed", "sensitivity_std")] == ["m/s", ""]
+    tables = study_tables(steered)
+    groups = tables["groups"]
+    assert set(groups[groups.figure.isin(["nominal_return", "late_gain"])].unit) == {""}
+    text = report_text(steered, tables, "command")
+    assert "late gain of return |" in text
+    assert "(m)" not in text
 
 
 def test_the_report_names_gaits_and_draws_one_of_each_group(tmp_path: Path, make_run: MakeRun) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -29,8 +30,9 @@ from surefoot.evaluation.statistics import (
 )
 from surefoot.files import atomic_write
 from surefoot.report.figures.learning import bin_curve, learning_curve
+from surefoot.robot import RobotDescription
 from surefoot.studies.evaluations import EVALUATIONS, Result, ResultMetric, evaluation_names, find_gap, gap_from_result
-from surefoot.studies.study_config import OTHERS, StudyConfig
+from surefoot.studies.study_config import OTHERS, StudyConfig, group_config
 from surefoot.tables import plain_rows, write_csv
 
 FAR_DISTANCE = 3.0
@@ -39,8 +41,8 @@ CONTENTS = {
     "policies": "one row per trained policy",
     "groups": "one row per group and metric, with its interval",
     "differences": "one row per pair of groups and metric: difference, interval, p, and p after Holm's correction",
-    "effects": "one row per main effect and metric: mean difference, interval, and p without correction",
     "episodes": "one row per episode of all evaluations",
+    "effects": "one row per main effect and metric: mean difference, interval, and p without correction",
     "sensitivity": "one row per policy and test world",
     "gap_groups": "one row per group and world, for all policies and for the best (`top`): means, errors, intervals",
     "top_differences": "differences.csv for the best policies, metrics of the reality gap",
@@ -92,10 +94,21 @@ class Comparison:
         """Kind of evaluation that measures the reality gap; empty if there is none."""
         return find_gap(self.kinds)
 
+    @cached_property
+    def return_unit(self) -> str:
+        """Unit of returns: m, or empty if a group's reward has terms of other units."""
+        tasks = [group_config(self.study, group).task for group in self.study.groups]
+        return min(task.return_unit(RobotDescription.load(task.robot)) for task in tasks)
+
     @property
     def metrics(self) -> tuple[ResultMetric, ...]:
         """Metrics that are compared."""
-        return tuple(metric for kind in self.kinds for metric in EVALUATIONS[kind].metrics)
+        return tuple(metric for kind in self.kinds for metric in self.metrics_of(kind))
+
+    def metrics_of(self, kind: str) -> tuple[ResultMetric, ...]:
+        """Return the metrics of a kind of evaluation."""
+        metrics = EVALUATIONS[kind].metrics
+        return tuple(replace(one, unit=self.return_unit) if one.is_return else one for one in metrics)
 
     @property
     def primary(self) -> ResultMetric:
@@ -153,7 +166,7 @@ class Comparison:
 
     def _kind(self, metric: ResultMetric) -> str:
         """Return the kind of evaluation that measures a metric."""
-        return next(kind for kind in self.kinds if metric in EVALUATIONS[kind].metrics)
+        return next(kind for kind in self.kinds if metric.name in [one.name for one in EVALUATIONS[kind].metrics])
 
     def sensitivities(self, group: str) -> list[Sensitivity]:
         """Return the sensitivity of each policy of a group."""
@@ -206,7 +219,7 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
             for group in groups
             for metric, unit, interval in [
                 *((one.name, one.unit, comparison.interval(group, one)) for one in comparison.metrics),
-                ("late_gain", "m", t_interval(comparison.select_group(group).late_gain)),
+                ("late_gain", comparison.return_unit, t_interval(comparison.select_group(group).late_gain)),
             ]
         ],
         "differences": _differences(comparison, comparison.metrics),
@@ -224,7 +237,7 @@ def study_tables(comparison: Comparison) -> dict[str, pd.DataFrame]:
         tables["gap_groups"] = [
             row for group in groups for which, part in parts.items() for row in _gap_rows(which, group, part)
         ]
-        tables["top_differences"] = _differences(best, EVALUATIONS[comparison.gap_kind].metrics)
+        tables["top_differences"] = _differences(best, best.metrics_of(comparison.gap_kind))
     if "gait" in comparison.kinds:
         tables["gaits"] = [
             {"group": row.group, "seed": row.seed} | {name: row.results["gait"][name] for name in _GAIT_COLUMNS}

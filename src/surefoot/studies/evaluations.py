@@ -55,6 +55,8 @@ class ResultMetric:
     trials: int | Callable[[Result], int] = 0
     """Number of a policy's episodes if the metric is a proportion of them, or its computation from a result; otherwise
     0."""
+    is_return: bool = False
+    """Whether it is a return, in m only for the paper's reward."""
 
     def count_trials(self, result: Result) -> int:
         """Return the number of a policy's episodes in a result if the metric is a proportion of them; otherwise 0."""
@@ -217,10 +219,10 @@ def _gap_kind(away: str) -> EvaluationKind:
         _run_gap,
         _read_gap,
         (
-            ResultMetric("gap_home", "return in training simulator", "m", 2),
-            ResultMetric("gap_described", "return as described", "m", 2),
-            ResultMetric("gap_away", "return in target world", "m", 2),
-            ResultMetric("gap", "gap", "m", 2),
+            ResultMetric("gap_home", "return in training simulator", "m", 2, is_return=True),
+            ResultMetric("gap_described", "return as described", "m", 2, is_return=True),
+            ResultMetric("gap_away", "return in target world", "m", 2, is_return=True),
+            ResultMetric("gap", "gap", "m", 2, is_return=True),
             ResultMetric("gap_balanced", "balanced in target world", "%", 1, robots),
             ResultMetric("gap_distance", "distance in target world", "m", 2),
             ResultMetric("gap_speed", "speed in target world", "m/s", 3),
@@ -237,7 +239,7 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         _read_runs,
         (
             ResultMetric("nominal_speed", "speed, nominal", "m/s", 3),
-            ResultMetric("nominal_return", "return, nominal", "m", 2),
+            ResultMetric("nominal_return", "return, nominal", "m", 2, is_return=True),
             ResultMetric("nominal_falls", "falls, nominal", "%", 1, 20),
         ),
     ),
@@ -257,8 +259,8 @@ EVALUATIONS: dict[str, EvaluationKind] = {
         _run_test_worlds,
         _read_sensitivity,
         (
-            ResultMetric("sensitivity_mean", "mean return over test worlds", "m", 2),
-            ResultMetric("sensitivity_std", "standard deviation of return over test worlds", "m", 2),
+            ResultMetric("sensitivity_mean", "mean return over test worlds", "m", 2, is_return=True),
+            ResultMetric("sensitivity_std", "standard deviation of return over test worlds", "m", 2, is_return=True),
             ResultMetric("sensitivity_falls", "falls in test worlds", "%", 1, _count_test_runs),
         ),
     ),

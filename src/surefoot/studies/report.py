@@ -22,6 +22,7 @@ from surefoot.report.figures.style import (
     place_labels,
 )
 from surefoot.studies.search_space import short_name
+from surefoot.tables import with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -119,15 +120,15 @@ def search_figure(result: SearchResult, path: Path) -> None:
                 curves.plot(*(np.array(curve) / [scale, 1.0]).T, color=color, alpha=0.5, linewidth=0.8)
         so_far = trials["return"].where(trials.state == "complete").cummax().ffill()
         order.step(trials.trial, so_far, where="post", color=GREEN, linewidth=1.2, label="best so far")
-        order.set_title("Return at the end (m)")
+        order.set_title(with_unit("Return at the end", result.return_unit))
         order.set_xlabel("trial")
         order.locator_params(axis="x", integer=True)
-        curves.set_title("Return in training (m)")
+        curves.set_title(with_unit("Return in training", result.return_unit))
         curves.set_xlabel(f"{unit}control steps")
         returns, colors = [part["return"].dropna() for part in parts], list(_COLORS.values())
         spread.hist(returns, bins=20, stacked=True, color=colors, label=list(_COLORS))
-        spread.set_title("Trials by return (m)")
-        spread.set_xlabel("return (m)")
+        spread.set_title(with_unit("Trials by return", result.return_unit))
+        spread.set_xlabel(with_unit("return", result.return_unit))
         figure.legend(*order.get_legend_handles_labels(), loc="outside lower center", ncols=3)
         heading(figure, f"Search: {result.config.train.task.name}, {len(trials)} trials")
 
@@ -147,7 +148,7 @@ def settings_figure(result: SearchResult, path: Path) -> None:
             ax.set_axis_off()
         handles = {label: line for ax in axes for line, label in zip(*ax.get_legend_handles_labels(), strict=True)}
         figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=2)
-        heading(figure, "Return (m) against each field; in brackets: its importance")
+        heading(figure, f"{with_unit('Return', result.return_unit)} against each field; in brackets: its importance")
 
 
 def _against(ax: Axes, trials: pd.DataFrame, name: str) -> None:

@@ -20,7 +20,7 @@ from surefoot.studies.report import image, readme, search_figure, settings_figur
 from surefoot.studies.search import make_config
 from surefoot.studies.search_result import SearchResult, sort_trials
 from surefoot.studies.search_space import short_name
-from surefoot.tables import markdown, write_csv
+from surefoot.tables import markdown, with_unit, write_csv
 
 _MAX_LISTED_TRIALS = 10
 """Number of best trials in the report; trials.csv has all."""
@@ -118,14 +118,15 @@ def report_text(result: SearchResult, fields: Sequence[str], census: Sequence[Ma
         "## Selection bias of the best",
         _BIAS,
         markdown([_retest_row(result, number, *values) for number, values in biases.items()]),
-        f"Claimed minus fresh, mean of these {len(biases)}: {bias.text(3, sign=True)} m.",
+        f"Claimed minus fresh, mean of these {len(biases)}: {bias.text(3, sign=True)} {result.return_unit}".strip()
+        + ".",
         "## Importance of fields",
         markdown(importance) if importance else "There are too few complete trials.",
         image("Return against each field", "parameters.png"),
         "## Gaits that emerged",
         "The gait of each policy, including pruned trials, is the most frequent name in 5 episodes in the training "
         "simulator.",
-        *_census_section(census),
+        *_census_section(census, result.return_unit),
     ]
     return readme(f"Search: {train.task.name}", command, parts, _CONTENTS)
 
@@ -134,7 +135,11 @@ def _best_rows(result: SearchResult, fields: Sequence[str]) -> list[dict[str, st
     """Return the rows of the best complete trials with their settings."""
     complete = result.trials[result.trials.state == "complete"]
     return [
-        {"trial": str(row["trial"]), "return (m)": decimal(row["return"]), "gait": row["pattern"] or "-"}
+        {
+            "trial": str(row["trial"]),
+            with_unit("return", result.return_unit): decimal(row["return"]),
+            "gait": row["pattern"] or "-",
+        }
         | {short_name(name): _setting(row[name]) for name in fields}
         for row in sort_trials(complete)[:_MAX_LISTED_TRIALS].to_dict("records")
     ]
@@ -157,15 +162,16 @@ def _retest_row(result: SearchResult, trial: int, fresh: Interval, bias: Interva
     def falls(runs: pd.DataFrame) -> str:
         return f"{(~runs.balanced).sum()} of {len(runs)}" if len(runs) else "-"
 
+    unit = result.return_unit
     return {
         "trial": str(trial),
-        "claimed (m)": decimal(result.claimed(trial)),
-        "fresh (m)": fresh.text(),
-        "claimed minus fresh (m)": bias.text(3, sign=True),
+        with_unit("claimed", unit): decimal(result.claimed(trial)),
+        with_unit("fresh", unit): fresh.text(),
+        with_unit("claimed minus fresh", unit): bias.text(3, sign=True),
         "speed (m/s)": mean(home, "speed"),
         "power (W)": mean(home, "power"),
         "falls": falls(home),
-        "return in Bullet (m)": mean(bullet, "return"),
+        with_unit("return in Bullet", unit): mean(bullet, "return"),
         "speed in Bullet (m/s)": mean(bullet, "speed"),
         "falls in Bullet": falls(bullet),
     }
@@ -212,7 +218,7 @@ def _census(result: SearchResult) -> list[dict[str, Any]]:
     return rows
 
 
-def _census_section(census: Sequence[Mapping[str, Any]]) -> list[str]:
+def _census_section(census: Sequence[Mapping[str, Any]], unit: str) -> list[str]:
     rows, figures = [], []
     for one in census:
         patterns = one["patterns"]
@@ -220,7 +226,7 @@ def _census_section(census: Sequence[Mapping[str, Any]]) -> list[str]:
             {
                 **{name: str(one[name]) for name in ("gait", "trials", "complete")},
                 "patterns": patterns if len(patterns) < _MAX_PATTERN_LENGTH else "many, see census.csv",
-                "highest return (m)": decimal(one["highest_return"]),
+                with_unit("highest return", unit): decimal(one["highest_return"]),
                 "of trial": str(one["of_trial"]),
                 **stride_cells(one),
             }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import data_sheet_task
 from surefoot.evaluation.runs import measure_runs
 from surefoot.evaluation.statistics import Interval, t_interval
+from surefoot.robot import RobotDescription
 from surefoot.studies.evaluations import EvaluationRun, Result, cached_result, evaluate
 from surefoot.studies.search import Search, SearchConfig
 from surefoot.studies.search_space import get_value
@@ -42,6 +44,12 @@ class SearchResult:
     first; each has runs in the training simulator, and in Bullet if it is installed."""
     importance: dict[str, float] = field(default_factory=dict)
     """Importance of each field, with sum 1; empty if too few trials are complete."""
+
+    @cached_property
+    def return_unit(self) -> str:
+        """Unit of returns: m, or empty if the task's reward has terms of other units."""
+        task = self.config.train.task
+        return task.return_unit(RobotDescription.load(task.robot))
 
     def claimed(self, trial: int) -> float:
         """Return a trial's return as the search measured it [m]."""

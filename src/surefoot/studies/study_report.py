@@ -22,7 +22,7 @@ from surefoot.studies.comparison import CONTENTS, FAR_DISTANCE, Comparison, stud
 from surefoot.studies.evaluations import EVALUATIONS, ResultMetric, load_gait_trace
 from surefoot.studies.report import group_figure, image, p_text, read_tables, readme, stride_cells
 from surefoot.studies.study_config import StudyConfig
-from surefoot.tables import markdown
+from surefoot.tables import markdown, with_unit
 
 _BAR_METRICS = (
     "nominal_speed",
@@ -116,16 +116,16 @@ def report_text(comparison: Comparison, tables: Mapping[str, pd.DataFrame], comm
 
 def _draw(comparison: Comparison, folder: Path) -> None:
     """Draw the figures of the report."""
-    label = comparison.study.label
+    label, unit = comparison.study.label, comparison.return_unit
     group_figure(comparison, folder / "groups.png", _BAR_METRICS)
     for file, groups in _curve_files(comparison).items():
         curves = {label(group): list(comparison.select_group(group).curve) for group in groups}
-        learning_curves(curves, folder / file)
+        learning_curves(curves, folder / file, unit)
     if comparison.gap_kind:
         best = comparison.best()
         for name, names in comparison.sets().items():
-            gap_figure([comparison.gap(group) for group in names], folder / f"gap_{name}.png", over_policies=True)
-            gap_figure([best.gap(group) for group in names], folder / f"gap_{name}_top.png")
+            gap_figure([comparison.gap(group) for group in names], folder / f"gap_{name}.png", unit, over_policies=True)
+            gap_figure([best.gap(group) for group in names], folder / f"gap_{name}_top.png", unit)
     if "gait" in comparison.kinds:
         for group in comparison.groups:
             footfall_diagram(
@@ -133,9 +133,9 @@ def _draw(comparison: Comparison, folder: Path) -> None:
             )
     if "sensitivity" in comparison.kinds:
         tested = {label(group): comparison.sensitivities(group) for group in comparison.groups}
-        parameters_figure(tested, folder / "parameters.png")
+        parameters_figure(tested, folder / "parameters.png", unit)
         for row in next(iter(tested.values()))[0].rows:
-            parameter_figure(row, tested, folder / "parameters" / f"{row}.png")
+            parameter_figure(row, tested, folder / "parameters" / f"{row}.png", unit=unit)
 
 
 def _level(tables: Mapping[str, pd.DataFrame], group: str, metric: str) -> Interval:
@@ -248,7 +248,7 @@ def _training(comparison: Comparison, tables: Mapping[str, pd.DataFrame], group:
         "name": f"`{group}`",
         "seeds": ", ".join(map(str, policies.seed)),
         "control steps": ", ".join(f"{steps:,}" for steps in policies.steps.unique()),
-        "late gain of return (m)": _level(tables, group, "late_gain").text(2, sign=True),
+        with_unit("late gain of return", comparison.return_unit): _level(tables, group, "late_gain").text(2, sign=True),
     }
 
 
@@ -292,7 +292,7 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame]) -> list[st
         image_text = image("Return of all policies in training simulator and target world", f"gap_{name}.png")
         lines += [f"### {capitalize_first(name)}", image_text]
         lines += [f"In the paper: {finding}"] if finding else []
-        lines.append(_gap_table(groups[(groups.policies == "all") & groups.group.isin(names)]))
+        lines.append(_gap_table(groups[(groups.policies == "all") & groups.group.isin(names)], comparison.return_unit))
     chosen = [f"{label(group)} {', '.join(map(str, best.select_group(group).seed))}" for group in best.groups]
     lines += [
         f"## The best {top} policies of each group",
@@ -302,12 +302,12 @@ def _gaps(comparison: Comparison, tables: Mapping[str, pd.DataFrame]) -> list[st
     for name, names in comparison.sets().items():
         caption = f"Return of the best {top} policies in training simulator and target world"
         lines += [image(caption, f"gap_{name}_top.png")]
-        lines.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)]))
-    return [*lines, *_differences(best, tables["top_differences"], EVALUATIONS[comparison.gap_kind].metrics)]
+        lines.append(_gap_table(groups[(groups.policies == "top") & groups.group.isin(names)], comparison.return_unit))
+    return [*lines, *_differences(best, tables["top_differences"], best.metrics_of(comparison.gap_kind))]
 
 
-def _gap_table(table: pd.DataFrame) -> str:
-    """Return rows of the table `gap_groups` in Markdown."""
+def _gap_table(table: pd.DataFrame, unit: str) -> str:
+    """Return rows of the table `gap_groups` in Markdown; `unit` is the unit of returns."""
     rows = []
     for row in table.to_dict("records"):
         balanced = Interval(*(100 * row[f"balanced_share{end}"] for end in ("", "_low", "_high")))
@@ -315,8 +315,8 @@ def _gap_table(table: pd.DataFrame) -> str:
         level = MeanEstimate(row["return_mean"], row["return_error"]) if is_top else _interval(row, "return")
         gap = MeanEstimate(row["gap"], row["gap_error"]) if is_top else _interval(row, "gap")
         rows.append(
-            {"group": row["label"], "world": row["world"], "return (m)": level.text()}
-            | {"gap (m)": "" if is_home else gap.text(), "balanced (%)": balanced.text(0)}
+            {"group": row["label"], "world": row["world"], with_unit("return", unit): level.text()}
+            | {with_unit("gap", unit): "" if is_home else gap.text(), "balanced (%)": balanced.text(0)}
             | {f"over {FAR_DISTANCE:g} m": f"{row['far']} of {row['runs']}"}
         )
     return markdown(rows)

@@ -71,8 +71,8 @@ def parameter_figure(
     return Path(path)
 
 
-def parameters_figure(groups: Groups, path: str | Path) -> Path:
-    """Draw the return against every parameter, one panel each, on a common scale."""
+def parameters_figure(groups: Groups, path: str | Path, unit: str = "m") -> Path:
+    """Draw the return against every parameter, one panel each, on a common scale; `unit` is the unit of returns."""
     rows = tuple(dict.fromkeys(row for results in groups.values() for one in results for row in one.rows))
     columns = min(len(rows), 5)
     lines = -(-len(rows) // columns)
@@ -86,7 +86,7 @@ def parameters_figure(groups: Groups, path: str | Path) -> Path:
             ax.set_ylim(min(low), max(high))
             ax.set_visible(number < len(rows))
             ax.tick_params(axis="y", labelleft=number % columns == 0)
-        axes[0].set_ylabel("return (m)")
+        axes[0].set_ylabel(with_unit("return", unit))
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=5)
         heading(figure, f"One parameter at a time; {_BAND}")
     return Path(path)
