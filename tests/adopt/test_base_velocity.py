@@ -13,6 +13,7 @@ pytest.importorskip("mujoco")
 
 from third_party_policies import DATA, DEPLOY, LEGGED_GYM, MJLAB, POSE, Probe, Readings, perceptron
 
+from surefoot.adopt import examination
 from surefoot.adopt.adoption import adopt
 from surefoot.adopt.builder import build_policy
 from surefoot.adopt.diagnosis import Diagnosis, check_answers
@@ -23,7 +24,10 @@ from surefoot.errors import SurefootError
 from surefoot.estimation.interface import MotionReadings
 from surefoot.estimation.legged_odometry import LeggedOdometry
 from surefoot.policy.runtime import PolicyRuntime
+from surefoot.rotations import quat_matrix
 from surefoot.task.contract_mapping import task_from_contract
+from surefoot.task.env import LocomotionEnv
+from surefoot.world.sim_world import SimWorld
 
 OBSERVED = ("base_velocity", "angular_velocity", "gravity", "command", "joint_positions", "joint_speeds", "last_action")
 
@@ -155,18 +159,35 @@ def test_the_network_gets_the_estimate_in_its_scale_and_history(go2, specificati
     np.testing.assert_allclose(observed[:, :3], older, atol=1e-5)
 
 
-def test_an_examination_can_replace_the_estimate_by_the_truth(go2, specification):
-    # The network passes its observed velocity on to the joints, so that robots with other velocities differ.
+def test_an_examination_can_replace_the_estimate_by_the_truth(go2, specification, monkeypatch):
     data = build_policy(replace(specification, action_scale=0.3), Probe(48, 12), go2, "probe", {})
     policy = PolicyRuntime.parse(data)
     task = task_from_contract(policy.contract, go2)
-    chosen = ("stand", "forward")
-    estimated, true, again = examine(
-        policy, go2, task, [None, TrueVelocity(), None], duration=0.5, threads=1, chosen=chosen
+    env = LocomotionEnv(task, 2, SimWorld, threads=1)
+    env.components.append(examination._TrueVelocities(np.array([True, False])))
+    env.reset()
+    for _ in range(20):
+        env.step(np.zeros(env.action_space.shape))
+    truth = env.state.truth
+    to_base = quat_matrix(truth.base_quat_world).swapaxes(-1, -2)
+    true = (to_base @ truth.base_velocity_world[..., None])[..., 0]
+    np.testing.assert_allclose(env.state.base_velocity[0], true[0], atol=1e-12)
+    assert np.abs(env.state.base_velocity[1] - true[1]).max() > 1e-4
+
+    # The robots of one change out of three observe the truth.
+    replaced = []
+
+    class Recorded(examination._TrueVelocities):
+        def __init__(self, rows):
+            replaced.append(rows)
+            super().__init__(rows)
+
+    monkeypatch.setattr(examination, "_TrueVelocities", Recorded)
+    results = examine(
+        policy, go2, task, [None, TrueVelocity(), None], duration=0.1, threads=1, chosen=("stand", "forward")
     )
-    assert true.text == "with the true speed of the base"
-    assert not np.array_equal(estimated.motion, true.motion, equal_nan=True)
-    np.testing.assert_allclose(estimated.motion, again.motion, atol=0.2)
+    assert results[1].text == "with the true speed of the base"
+    assert [rows.tolist() for rows in replaced] == [[False] * 2 + [True] * 2 + [False] * 2]
 
 
 def trial(change, error: float, fallen: int = 0) -> TrialResult:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -68,6 +70,25 @@ def test_robots_that_run_together_are_recorded_in_separate_files(robot: DrivenRo
     names = {kind: EpisodeTrace.load(path).meta["policy"] for kind, path in recordings.files.items()}
     assert names == {"npz": "steer", "ghost": "other (ghost)"}
     assert recordings.files["ghost"].stem == f"{recordings.files['npz'].stem}-ghost"
+
+
+def test_an_export_shows_the_map_of_the_recording(robot: DrivenRobot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    commands: list[list[str]] = []
+    recordings = DriveRecordings(tmp_path)
+    for terrain in (str(tmp_path / "hill.npz"), "stairs:0.1"):
+        recordings.start({"steer": robot}, terrain)
+        robot.step()
+        recordings.stop()
+        while recordings.is_recording or recordings._thread is not None:
+            recordings.update()
+        with monkeypatch.context() as patch:
+            patch.setattr(subprocess, "Popen", lambda words, **_: commands.append(words) or SimpleNamespace(pid=0))
+            patch.setattr("os.setpriority", lambda *_: None)
+            recordings.export("html")
+        recordings._process = None
+    place = commands[0].index("--terrain")
+    assert commands[0][place + 1] == str(tmp_path / "hill.npz")
+    assert "--terrain" not in commands[1]
 
 
 def test_a_folder_that_cannot_be_written_is_rejected_before_the_recording(robot: DrivenRobot, tmp_path: Path):

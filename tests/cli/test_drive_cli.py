@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import socket
 import subprocess
@@ -114,6 +115,22 @@ def test_socket_rejects_a_foreign_origin(running: Running, path: str, origin: st
     with pytest.raises(websockets.InvalidStatus) as caught:
         connect(f"ws://localhost:{running.server.port}/{path}", origin=origin)  # type: ignore[arg-type]
     assert caught.value.response.status_code == 403
+
+
+def test_the_view_of_another_server_is_not_shown(running: Running):
+    # Its server could run scripts with the origin of this page, which may control the robot.
+    own = f"localhost:{running.server.port}"
+    for query, status in {
+        "websocket=ws%3A%2F%2Fevil.example%2F": 403,
+        f"websocket=ws%3A%2F%2F{own}%2Fviser&websocket=ws%3A%2F%2Fevil.example%2F": 403,
+        f"websocket=ws%3A%2F%2F{own}%2Fviser&playbackPath=x": 403,
+        "": 403,
+        f"websocket=ws%3A%2F%2F{own}%2Fviser": 200,
+    }.items():
+        connection = http.client.HTTPConnection("localhost", running.server.port, timeout=10)
+        connection.request("GET", f"/view?{query}")
+        assert connection.getresponse().status == status, query
+        connection.close()
 
 
 def test_server_rejects_foreign_host_names_and_other_files(running: Running):

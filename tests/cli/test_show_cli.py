@@ -227,7 +227,7 @@ def test_show_draws_the_given_height_map(make_run: MakeRun, tmp_path: Path, caps
     assert "the height map 'hill.npz' is not shown; give its file with --terrain" in capsys.readouterr().out
     level = len((tmp_path / "x.html").read_text())
     assert main([*show, "--terrain", str(tmp_path / "hill.npz")]) == 0
-    assert "stood" not in capsys.readouterr().out
+    assert "is not shown" not in capsys.readouterr().out
     assert len((tmp_path / "x.html").read_text()) != level
 
 

@@ -128,11 +128,6 @@ def emulate_here() -> Iterator[Callable[..., Thread]]:
         yield start
 
 
-@pytest.fixture
-def wire_bytes() -> Bytes:
-    return Bytes()
-
-
 class NoHosts:
     """A port without hosts."""
 

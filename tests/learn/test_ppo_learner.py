@@ -83,7 +83,9 @@ def test_the_critic_learns_before_the_policy():
     learner = PpoLearner(replace(config, ppo=replace(preset.ppo, value_updates=2)), SimWorld)
     policies, values = [], []
     for _ in range(4):
-        policies.append(torch.cat([one.detach().flatten().clone() for one in learner.policy.parameters()]))
+        # The statistics of its normalization also change what a policy does.
+        parts = [*learner.policy.parameters(), *learner.policy.buffers()]
+        policies.append(torch.cat([one.detach().flatten().float().clone() for one in parts]))
         values.append(torch.cat([one.detach().flatten().clone() for one in learner.algorithm.critic.parameters()]))
         learner.update()
     assert [torch.equal(before, after) for before, after in pairwise(policies)] == [True, True, False]

@@ -127,6 +127,35 @@ def test_an_exported_policy_acts_as_its_model(name: str, normalized: bool, tmp_p
     assert policy.task.feedback == FEEDBACK
 
 
+def test_a_loaded_model_is_exported_with_the_normalizer_of_its_environment(tmp_path: Path, rng: np.random.Generator):
+    env = VecNormalize(SB3VecEnv(batch(2)), clip_obs=2.0)
+    width = env.observation_space.shape[0]
+    env.obs_rms.update(rng.normal(0.5, np.linspace(0.1, 3.0, width), size=(1000, width)))
+    PPO("MlpPolicy", env, seed=0, device="cpu").save(tmp_path / "model")
+    model = PPO.load(tmp_path / "model", device="cpu")
+    policy = surefoot.export(model, tmp_path / "p.onnx", env=env)
+    samples = rng.normal(scale=3.0, size=(100, width)).astype(np.float32)
+    action, _ = model.predict(env.normalize_obs(samples), deterministic=True)
+    np.testing.assert_allclose(policy.feedback(samples), batch().gait.feedback(action), rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize(
+    "wrap",
+    [
+        gymnasium.wrappers.NormalizeObservation,
+        lambda env: gymnasium.wrappers.RescaleAction(env, 0.0, 1.0),
+        lambda env: gymnasium.wrappers.TimeLimit(gymnasium.wrappers.NormalizeObservation(env), 10),
+    ],
+)
+def test_wrappers_that_a_policy_file_does_not_contain_are_rejected(wrap, tmp_path: Path):
+    env = wrap(gymnasium.make("surefoot/Trot-v0"))
+    module = torch.nn.Linear(env.observation_space.shape[0], 8)
+    with pytest.raises(SurefootError, match=r"env has the wrapper (NormalizeObservation|RescaleAction), which changes"):
+        surefoot.export(module, tmp_path / "p.onnx", env=env)
+    clipped = gymnasium.wrappers.ClipAction(gymnasium.make("surefoot/Trot-v0"))
+    assert surefoot.export(module, tmp_path / "p.onnx", env=clipped).robot.name == "minitaur"
+
+
 @pytest.mark.parametrize("name", ["surefoot/Trot-v0", "batch", "monitored"])
 def test_a_module_is_exported_for_any_form_of_its_environment(name: str, tmp_path: Path):
     env = {

@@ -19,7 +19,7 @@ from PIL import Image  # noqa: E402
 pytest.importorskip("numba")
 from surefoot.report.drawing.mesh import Mesh  # noqa: E402
 from surefoot.report.drawing.renderer import Camera, View, draw  # noqa: E402
-from surefoot.report.drawing.video import interpolate_poses, render_video  # noqa: E402
+from surefoot.report.drawing.video import _smooth_track, interpolate_poses, render_video  # noqa: E402
 from surefoot.robot.appearance import Appearance, triangulate_shape  # noqa: E402
 from surefoot.robot.urdf import Shape  # noqa: E402
 
@@ -80,6 +80,23 @@ def decode(path: Path) -> tuple[dict, NDArray[np.uint8]]:
     about = next(reader)
     width, height = about["size"]
     return about, np.stack([np.frombuffer(f, np.uint8).reshape(height, width, 3) for f in reader])
+
+
+def test_the_camera_follows_a_local_line_through_the_track() -> None:
+    # Local linear regression repeats a line, also at its ends, and needs no memory for far samples.
+    times = np.arange(0.0, 600.0, 0.02)
+    line = np.stack([0.5 * times, 3.0 - 0.1 * times], axis=-1)
+    clock, smooth = _smooth_track(times, line, 0.4)
+    np.testing.assert_allclose(smooth, np.stack([0.5 * clock, 3.0 - 0.1 * clock], axis=-1), atol=1e-6)
+    # A step is a smooth transition around its middle.
+    short = times[:500]
+    clock, smooth = _smooth_track(short, np.where(short < 5.0, 0.0, 1.0)[:, None], 0.4)
+    assert np.interp([4.0, 5.0, 6.0], clock, smooth[:, 0]) == pytest.approx([0.006, 0.5, 0.994], abs=0.02)
+    weight = np.exp(-0.5 * ((clock[None] - clock[:, None]) / 0.4) ** 2)
+    lag, rough = clock[None] - clock[:, None], np.interp(clock, short, np.where(short < 5.0, 0.0, 1.0))
+    m0, m1, m2 = ((weight * lag**k).sum(axis=1) for k in range(3))
+    whole = (m2 * (weight @ rough) - m1 * ((weight * lag) @ rough)) / (m0 * m2 - m1**2)
+    np.testing.assert_allclose(smooth[:, 0], whole, atol=1e-6)
 
 
 def test_a_video_decodes_and_follows_the_base(walker, tmp_path: Path) -> None:

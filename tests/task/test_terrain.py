@@ -185,6 +185,7 @@ def test_a_height_map_has_delay_and_errors():
             "terrain.columns is 60; it must be 1 .the number of kinds. to 40 ",
         ),
         ({"sizes": {"stairs": (0.1, 0.2)}, "levels": 2}, "terrain.start_level is 2"),
+        ({"sizes": {"stairs": (0.1, 0.2)}, "tile": 8.05}, "terrain.tile is 8.05; it must be a multiple of 0.2 m"),
         (
             {"sizes": {"stairs": (0.1, 0.2)}, "shares": {"stairs": 0.0}},
             "terrain.shares are all 0; at least one must be above 0",

@@ -327,7 +327,7 @@ class DrivePage:
     def _record(self, on: bool) -> None:
         if on and not self.recordings.is_recording:
             names = [self._name] if self.ghost is None else [self._name, f"{self._ghost_name} (ghost)"]
-            self.recordings.start(dict(zip(names, self._robots, strict=True)))
+            self.recordings.start(dict(zip(names, self._robots, strict=True)), self.terrain)
         elif not on and self.recordings.is_recording:
             self.recordings.stop()
 

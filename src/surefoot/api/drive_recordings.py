@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from surefoot.deploy.trace_file import TraceFile
 from surefoot.errors import SurefootError, choices
 from surefoot.evaluation.command_runs import MAX_RECORDING
+from surefoot.world.terrain import is_map
 
 if TYPE_CHECKING:
     from surefoot.evaluation.command_runs import DrivenRecording, DrivenRobot
@@ -45,14 +46,15 @@ class DriveRecordings:
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[str] | None = None
         self._kind, self._duration, self._note = "", 0.0, ""
+        self._map: list[str] = []
 
     @property
     def is_recording(self) -> bool:
         """Whether a recording is running."""
         return bool(self._recordings)
 
-    def start(self, robots: dict[str, DrivenRobot]) -> None:
-        """Start recording robots, given by the names of their policies.
+    def start(self, robots: dict[str, DrivenRobot], terrain: str = "flat") -> None:
+        """Start recording robots, given by the names of their policies, on a terrain.
 
         Raises:
             SurefootError: the last recording is still being written, or the folder is not writable.
@@ -61,6 +63,7 @@ class DriveRecordings:
             raise SurefootError("the last recording is still being written; record again in a moment")
         self.files, self._note = {}, ""
         self._robot = next(iter(robots.values())).robot
+        self._map = ["--terrain", str(Path(terrain).resolve())] if is_map(terrain) else []
         stem = re.sub(r"[^\w.-]+", "-", next(iter(robots)))[:60] + time.strftime("-%Y-%m-%d_%H-%M-%S")
         for end, (policy, robot) in zip(("", "-ghost"), robots.items(), strict=False):
             recording = robot.record(policy)
@@ -104,6 +107,7 @@ class DriveRecordings:
         out = self.files["npz"].with_suffix(f".{kind}")
         traces = [self.files[name] for name in ("npz", "ghost") if name in self.files]
         words = [*map(str, traces if kind == "html" else traces[:1]), "--robot", str(self._robot.folder)]
+        words += self._map
         words = [sys.executable, "-m", "surefoot", "show", *words, "--layout", "over", "--out", str(out)]
         self._kind, silent = kind, subprocess.DEVNULL
         self._process = subprocess.Popen(words, stdin=silent, stdout=silent, stderr=subprocess.PIPE, text=True)

@@ -246,30 +246,33 @@ def export(
     Args:
         model: a torch module that maps raw observations (N, O * history) in SI units to outputs (N, A); or a model of
             Stable-Baselines3 (PPO, A2C, SAC, TD3, DDPG), whose deterministic actions are exported, including the
-            statistics of its `VecNormalize`.
+            statistics of `VecNormalize`.
         path: policy file (.onnx) to write.
-        env: environment on which the model was trained, single or vectorized, wrapped or not; defaults to the model's.
+        env: environment on which the model was trained, single or vectorized; defaults to the model's. Give it for a
+            model that was loaded from a file. Wrappers must leave observations and actions as they are, except
+            `VecNormalize`.
         name: name of the policy; defaults to the task's.
         output: output of a torch module: "action", normalized to -1 to 1 as the environment's action, or "feedback",
             in leg space (rad; the extension of serial legs in lengths of the straight leg).
 
     Raises:
-        SurefootError: the environment is not surefoot's, the module does not match it, or an operator is not supported
-            in policy files.
+        SurefootError: the environment is not surefoot's, or a wrapper changes observations or actions; the module does
+            not match it, or an operator is not supported in policy files.
     """
     from torch import nn
 
     from surefoot.policy.export import export_policy
     from surefoot.task.contract_mapping import make_contract
-    from surefoot.task.single_env import find_batch
+    from surefoot.task.single_env import check_wrappers, find_batch
 
     network = model
     if not isinstance(model, nn.Module):
         from surefoot.learn.sb3 import Actor
 
-        network, env = Actor(model), model.get_env() if env is None else env
+        network, env = Actor(model, env), model.get_env() if env is None else env
     if env is None:
         raise SurefootError("env is missing; give the environment on which the module was trained")
+    check_wrappers(env)
     batch = find_batch(env)
     contract = make_contract(batch, replace(batch.task, name=name or batch.task.name))
     return load(export_policy(network, contract, path, output, batch.robot.archive))

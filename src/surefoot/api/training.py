@@ -59,6 +59,11 @@ def check_config(config: TrainConfig) -> None:
             "reference.over_holes is given, but start_from is not: only the gait over holes is learned; name the run "
             "with the policy for other terrain: --start-from RUN"
         )
+    elif config.ppo.start_std:
+        raise SurefootError(
+            "ppo.start_std is given, but start_from is not; a policy that does not continue another run starts with "
+            "ppo.init_std"
+        )
 
 
 def symmetry_note(config: TrainConfig) -> str | None:

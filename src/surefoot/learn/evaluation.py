@@ -41,7 +41,7 @@ class TrainingEvaluation:
 
 
 def _evaluation_task(config: TrainConfig) -> TaskConfig:
-    """Return the task of evaluations: most difficult terrain, no curricula, own physics step, reward of evaluations."""
+    """Return the task of evaluations: terrain of all levels, no curricula, own physics step, reward of evaluations."""
     task = config.task
     return replace(
         task,

@@ -32,8 +32,10 @@ def open_writer(logger: LoggerName, folder: Path, config: TrainConfig, resumed_a
     Raises:
         SurefootError: Weights & Biases is not available, for example without an account.
     """
+    # Readers drop entries from the given step on; the entry of these steps is not written again.
+    purge_step = None if resumed_at is None else resumed_at + 1
     if logger == "tensorboard":
-        return SummaryWriter(str(folder), purge_step=resumed_at)
+        return SummaryWriter(str(folder), purge_step=purge_step)
     import wandb
     from rsl_rl.utils.wandb_log_writer import WandbLogWriter
 
@@ -55,7 +57,7 @@ def open_writer(logger: LoggerName, folder: Path, config: TrainConfig, resumed_a
     if resumed_at is not None:
         # Close the file of events: the next scalar opens a new one, which starts at these steps.
         writer.file_writer.close()
-        writer.file_writer, writer.purge_step = None, resumed_at
+        writer.file_writer, writer.purge_step = None, purge_step
     return writer
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import gc
 import math
 import time
@@ -106,12 +107,11 @@ class PpoLearner:
 
     def _learn(self) -> dict[str, float]:
         """Update the networks (only the critic in the first `value_updates`), and return the losses by name."""
-        frozen = list(self.policy.parameters()) if self.update_count < self.config.ppo.value_updates else []
-        values = [parameter.detach().clone() for parameter in frozen]
+        is_frozen = self.update_count < self.config.ppo.value_updates
+        state = copy.deepcopy(self.policy.state_dict()) if is_frozen else {}  # with the statistics of its normalizer
         losses: dict[str, float] = self.algorithm.update()
-        with torch.no_grad():
-            for parameter, value in zip(frozen, values, strict=True):
-                parameter.copy_(value)
+        if is_frozen:
+            self.policy.load_state_dict(state)
         return losses
 
     def _limit_std(self) -> None:

@@ -11,7 +11,7 @@ import torch
 from gymnasium import Wrapper
 from numpy.typing import NDArray
 from stable_baselines3.common.policies import ActorCriticPolicy
-from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env import VecEnv, unwrap_vec_normalize
 from torch import nn
 
 from surefoot.errors import SurefootError
@@ -100,13 +100,15 @@ class Actor(nn.Module):
     """Deterministic actor of a model with its normalizer, from raw observations (N, O) to actions (N, A).
 
     Args:
-        model: PPO, A2C, SAC, TD3 or DDPG. The normalizer is its `VecNormalize`, if it has one.
+        model: PPO, A2C, SAC, TD3 or DDPG.
+        env: environment whose `VecNormalize` normalizes the observations, if it has one; defaults to the model's. A
+            model that was loaded from a file has none.
 
     Raises:
         SurefootError: a model of another kind.
     """
 
-    def __init__(self, model: Any) -> None:
+    def __init__(self, model: Any, env: Any = None) -> None:
         super().__init__()
         self.mean: torch.Tensor
         self.scale: torch.Tensor
@@ -118,6 +120,8 @@ class Actor(nn.Module):
                 "Stable-Baselines3"
             )
         normalizer = model.get_vec_normalize_env()
+        if isinstance(env, VecEnv):
+            normalizer = unwrap_vec_normalize(env) or normalizer
         self.clip = None
         if normalizer is not None and normalizer.norm_obs:
             statistics, self.clip = normalizer.obs_rms, float(normalizer.clip_obs)

@@ -66,6 +66,35 @@ def _first(info: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+_CHANGING = {"ObservationWrapper", "ActionWrapper", "VectorObservationWrapper", "VectorActionWrapper"}
+"""Names of the base classes of Gymnasium's wrappers that change observations or actions."""
+_UNCHANGED = {"ClipAction", "FlattenObservation"}
+"""Names of those that leave surefoot's as they are: the environment clips actions itself, and observations are flat."""
+
+
+def check_wrappers(env: Any) -> None:
+    """Reject wrappers of Gymnasium that change observations or actions: a policy file does not contain them.
+
+    Raises:
+        SurefootError: with the first such wrapper.
+    """
+    inner = env
+    while inner is not None and not isinstance(inner, LocomotionSingleEnv | LocomotionEnv):
+        names = [kind.__name__ for kind in type(inner).__mro__]
+        if _CHANGING & set(names) and not _UNCHANGED & set(names):
+            raise SurefootError(
+                f"env has the wrapper {names[0]}, which changes observations or actions and would be lost; train "
+                "without it, or export a torch module that contains it"
+            )
+        several = getattr(inner, "envs", None)
+        inner = several[0] if isinstance(several, list | tuple) else _inside(inner)
+
+
+def _inside(env: Any) -> Any:
+    """Return the environment that a wrapper contains, or None."""
+    return next((part for name in ("venv", "env") if (part := getattr(env, name, None)) is not None), None)
+
+
 def find_batch(env: Any) -> LocomotionEnv:
     """Return the `LocomotionEnv` inside an environment of Gymnasium or Stable-Baselines3, which may be wrapped.
 
@@ -79,7 +108,7 @@ def find_batch(env: Any) -> LocomotionEnv:
         elif isinstance(several := getattr(inner, "envs", None), list | tuple):
             inner = several[0]
         else:
-            inner = next((part for name in ("venv", "env") if (part := getattr(inner, name, None)) is not None), None)
+            inner = _inside(inner)
     if inner is None:
         raise SurefootError(f"env is a {type(env).__name__}; it must be an environment of surefoot, in this process")
     return inner

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +14,7 @@ from surefoot.errors import SurefootError, suggest
 from surefoot.seeding import generator
 from surefoot.task.height_scan import ScanConfig
 from surefoot.world.ground import Ground
-from surefoot.world.terrain import HALF_SIDE, TerrainField, check_size, make_field, make_terrain
+from surefoot.world.terrain import HALF_SIDE, ROUGH_SPACING, TerrainField, check_size, make_field, make_terrain
 
 MAX_TILES = 400
 """Maximum number of tiles of a field."""
@@ -56,6 +57,8 @@ class TerrainConfig:
         for name, sizes in self.sizes.items():
             for size in sizes:
                 check_size(name, size)
+        if self.sizes and not math.isclose(self.tile, ROUGH_SPACING * round(self.tile / ROUGH_SPACING), abs_tol=1e-9):
+            raise SurefootError(f"terrain.tile is {self.tile:g}; it must be a multiple of {ROUGH_SPACING:g} m")
         if self.friction[0] > self.friction[1]:
             raise SurefootError(f"terrain.friction is {self.friction}; the smaller factor must come first")
         for name in self.shares:

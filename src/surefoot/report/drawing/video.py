@@ -135,6 +135,10 @@ def label_font(size: int) -> Any:
     return ImageFont.load_default(size)
 
 
+_REACH = 6.0
+"""Standard deviations of the smoothing's weights beyond which samples are left out."""
+
+
 def _smooth_track(times: Array, track: Array, smoothing: float) -> tuple[Array, Array]:
     """Return times and positions (K, 2) of a camera that follows a smoothed track (T, 2).
 
@@ -144,7 +148,15 @@ def _smooth_track(times: Array, track: Array, smoothing: float) -> tuple[Array, 
         return times, track
     clock = np.linspace(times[0], times[-1], max(int((times[-1] - times[0]) * 20), 2))
     rough = np.stack([np.interp(clock, times, part) for part in track.T], axis=-1)
-    lag = clock[None] - clock[:, None]
+    step = float(clock[1] - clock[0])
+    width = min(int(np.ceil(_REACH * smoothing / step)), len(clock) - 1)
+    lag = step * np.arange(-width, width + 1)
     weight = np.exp(-0.5 * (lag / smoothing) ** 2)
-    m0, m1, m2 = ((weight * lag**k).sum(axis=1)[:, None] for k in range(3))
-    return clock, (m2 * (weight @ rough) - m1 * ((weight * lag) @ rough)) / (m0 * m2 - m1**2)
+
+    def sums(values: Array, power: int) -> Array:
+        """Return at each time the sum of weighted values (K,) times a power of their lag."""
+        return np.convolve(values, (weight * lag**power)[::-1])[width : width + len(clock)]
+
+    m0, m1, m2 = (sums(np.ones(len(clock)), power) for power in range(3))
+    smooth = [(m2 * sums(part, 0) - m1 * sums(part, 1)) / (m0 * m2 - m1**2) for part in rough.T]
+    return clock, np.stack(smooth, axis=-1)

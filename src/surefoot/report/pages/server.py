@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Self
+from urllib.parse import parse_qsl
 
 import websockets
 from websockets.asyncio.client import connect
@@ -186,7 +187,7 @@ class PageServer:
 
     def _request(self, connection: ServerConnection, request: Request) -> Response | None:
         """Reject foreign hosts, origins and paths; return a page, or None for a web socket."""
-        host, path = request.headers.get("Host", ""), request.path.partition("?")[0]
+        host, (path, _, query) = request.headers.get("Host", ""), request.path.partition("?")
         # DNS rebinding: under another site's name that resolves to this machine, its scripts would have this origin.
         if not self._token and host.rpartition(":")[0] not in LOCAL:
             return connection.respond(http.HTTPStatus.FORBIDDEN, "only localhost\n")
@@ -196,6 +197,10 @@ class PageServer:
             if request.headers.get("Origin") != f"http://{host}":
                 return connection.respond(http.HTTPStatus.FORBIDDEN, "foreign origin\n")
             return None
+        # The 3D view runs scripts that its server sends, with this origin: its server must be this one.
+        own = [("websocket", f"ws://{host}{path.removesuffix('view')}viser")]
+        if name == "view" and parse_qsl(query, keep_blank_values=True) != own:
+            return connection.respond(http.HTTPStatus.FORBIDDEN, "the view of another server\n")
         try:
             body, kind = self._content(name)
         except (KeyError, OSError):
