@@ -40,10 +40,15 @@ def blind(trace: EpisodeTrace) -> EpisodeTrace:
 @pytest.fixture(scope="module")
 def walks() -> list[EpisodeTrace]:
     """Return three runs of Go2s from table I at 0.6 m/s, with noise and delays."""
+    return walk(3)
+
+
+def walk(episodes: int, **ranges: tuple[float, float]) -> list[EpisodeTrace]:
+    """Return runs of Go2s from table I, with other ranges of some parameters, at 0.6 m/s."""
     policy, robot, task, _ = load_gait(find_policy("go2-steer"), None)
-    ranges = load_ranges("table1", robot=robot.folder)
-    condition = Condition(randomize=ranges, command_rows=((0.6, 0.0, 0.2),), duration=4.0)
-    return run_episodes(policy, condition.apply(task, robot), 3, find_world("mujoco"), seed=5, threads=1)
+    randomize = {**load_ranges("table1", robot=robot.folder), **ranges}
+    condition = Condition(randomize=randomize, command_rows=((0.6, 0.0, 0.2),), duration=4.0)
+    return run_episodes(policy, condition.apply(task, robot), episodes, find_world("mujoco"), seed=5, threads=1)
 
 
 def test_walking_robots_are_estimated_within_a_few_percent(walks):
@@ -66,6 +71,12 @@ def test_the_delay_of_torques_is_found_in_the_run_of_a_robot(walks):
         # Torques of the control step before are older than the other readings.
         older = replace(unknown, motor_torque=np.roll(trace.motor_torque, 1, axis=0))
         assert torque_delay(older, robot) < found
+
+
+@pytest.mark.parametrize(("latency", "low", "high"), [(0.0, 0.0, 0.01), (0.03, 0.025, 0.04)])
+def test_long_and_short_delays_of_torques_are_told_apart(latency: float, low: float, high: float):
+    (trace,) = walk(1, control_latency=(latency, latency))
+    assert low <= torque_delay(replace(trace, meta={**trace.meta, "params": {}}), trace.load_robot()) <= high
 
 
 def test_runs_of_a_batch_are_estimated_as_alone(walks):
