@@ -5,6 +5,7 @@ Evaluation, reality gap, sensitivity and studies share these columns, for simula
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -175,7 +176,7 @@ def command_metrics(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
         return {}
     return {
         **Tracking.from_traces(commanded).to_mapping(),
-        "success": _mean([is_successful(trace) for trace in commanded]),
+        "success": _mean([math.nan if known is None else known for known in map(is_successful, commanded)]),
     }
 
 
