@@ -23,6 +23,9 @@ CORNERS = {"FL": (1, 1), "FR": (1, -1), "RL": (-1, 1), "RR": (-1, -1)}
 BODY = """<geom type="box" size=".2 .1 .05"/><inertial pos="0 0 0" mass="6" diaginertia=".05 .1 .12"/>"""
 LINK = """<inertial pos="0 0 -.1" mass=".5" diaginertia=".002 .002 .0005"/>"""
 
+HEAD = f"""<body name="neck" pos=".2 0 0"><joint name="pan" axis="0 0 1"/>{LINK}
+  <body name="head"><joint name="nod" axis="0 1 0"/>{LINK}</body></body>"""
+
 
 def leg(name: str, x: float, y: float, axes: tuple[str, str, str] = ("1 0 0", "0 1 0", "0 1 0"), foot: str = "") -> str:
     """A leg of an MJCF: upper and lower links of 0.2 m, 0.06 m out from the abduction axis."""
@@ -354,9 +357,7 @@ def test_a_tail_is_fixed_and_fused_with_the_base(tmp_path: Path) -> None:
 
 
 def test_a_head_with_as_few_joints_as_a_leg_is_fixed(tmp_path: Path) -> None:
-    head = f"""<body name="neck" pos=".2 0 0"><joint name="pan" axis="0 0 1"/>{LINK}
-      <body name="head"><joint name="nod" axis="0 1 0"/>{LINK}</body></body>"""
-    imported = read_robot(write(tmp_path, mjcf(head + legs())))
+    imported = read_robot(write(tmp_path, mjcf(HEAD + legs())))
     assert "joint 'pan' and the bodies below it are fixed, because they are not part of a leg" in imported.notes
     assert imported.joints[0] == ("FL_abduction", "FL_hip", "FL_knee")
     assert imported.base.mass == pytest.approx(7.0)
@@ -371,9 +372,7 @@ def test_a_head_with_as_few_joints_as_a_leg_is_fixed(tmp_path: Path) -> None:
     ],
 )
 def test_couplings_outside_of_the_legs_or_inactive_ones_are_accepted(equality: str, tmp_path: Path) -> None:
-    head = f"""<body name="neck" pos=".2 0 0"><joint name="pan" axis="0 0 1"/>{LINK}
-      <body name="head"><joint name="nod" axis="0 1 0"/>{LINK}</body></body>"""
-    text = mjcf(head + legs(), f"<equality>{equality}</equality>")
+    text = mjcf(HEAD + legs(), f"<equality>{equality}</equality>")
     assert len(read_robot(write(tmp_path, text)).joints) == 4
 
 

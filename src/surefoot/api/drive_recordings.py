@@ -106,8 +106,7 @@ class DriveRecordings:
             raise SurefootError(f"the {self._kind} file is still being written")
         out = self.files["npz"].with_suffix(f".{kind}")
         traces = [self.files[name] for name in ("npz", "ghost") if name in self.files]
-        words = [*map(str, traces if kind == "html" else traces[:1]), "--robot", str(self._robot.folder)]
-        words += self._map
+        words = [*map(str, traces if kind == "html" else traces[:1]), "--robot", str(self._robot.folder), *self._map]
         words = [sys.executable, "-m", "surefoot", "show", *words, "--layout", "over", "--out", str(out)]
         self._kind, silent = kind, subprocess.DEVNULL
         self._process = subprocess.Popen(words, stdin=silent, stdout=silent, stderr=subprocess.PIPE, text=True)

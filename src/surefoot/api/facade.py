@@ -263,7 +263,7 @@ def export(
 
     from surefoot.policy.export import export_policy
     from surefoot.task.contract_mapping import make_contract
-    from surefoot.task.single_env import check_wrappers, find_batch
+    from surefoot.task.single_env import find_batch
 
     network = model
     if not isinstance(model, nn.Module):
@@ -272,7 +272,6 @@ def export(
         network, env = Actor(model, env), model.get_env() if env is None else env
     if env is None:
         raise SurefootError("env is missing; give the environment on which the module was trained")
-    check_wrappers(env)
     batch = find_batch(env)
     contract = make_contract(batch, replace(batch.task, name=name or batch.task.name))
     return load(export_policy(network, contract, path, output, batch.robot.archive))

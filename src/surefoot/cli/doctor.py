@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +24,7 @@ from surefoot.cli.helpers.options import (
     World,
     Yes,
     ask_to_move,
+    changed_option,
     check_terminal,
 )
 from surefoot.cli.helpers.output import make_console, print_json
@@ -78,11 +78,8 @@ def main(argv: list[str]) -> int:
     command = parse(DoctorCommand, argv, "surefoot doctor")
     if command.port is None and command.link == "serial":
         return _examine(command)
-    _reject(
-        command,
-        ("world", "seed", "threads", "out", "correct"),
-        "for the simulation of an adopted policy, without --port",
-    )
+    if (option := changed_option(command, ("world", "seed", "threads", "out", "correct"))) is not None:
+        raise SurefootError(f"{option} is given; it is for the simulation of an adopted policy, without --port")
     command.check_link()
     if command.rack and command.ground:
         raise SurefootError("--rack and --ground can't be combined; choose where the robot is")
@@ -119,21 +116,15 @@ def main(argv: list[str]) -> int:
     return FAILED if counts[False] else 0
 
 
-def _reject(command: DoctorCommand, names: Sequence[str], purpose: str) -> None:
-    """Reject options that differ from their default."""
-    for item in fields(command):
-        if item.name in names and getattr(command, item.name) != item.default:
-            raise SurefootError(f"--{item.name} is given; it is {purpose}")
-
-
 def _examine(command: DoctorCommand) -> int:
     """Examine an adopted policy in simulation."""
     contract = open_policy(find_policy(command.policy), command.robot)[0].contract
     if "adopted" not in contract.figures or command.rack or command.ground:
         command.check_link()  # a policy that was not adopted, and motions, require a robot
-    needs_robot = "for a robot: give --port, or --link dds --interface NAME"
-    command.reject_link(f"it is {needs_robot}")
-    _reject(command, ("yes", "pings", "steps"), needs_robot)
+    without = "it is for a robot: give --port, or --link dds --interface NAME"
+    command.reject_link(without)
+    if (option := changed_option(command, ("yes", "pings", "steps"))) is not None:
+        raise SurefootError(f"{option} is given; {without}")
     from surefoot.api.adopted import examine_policy
 
     world, seed, threads = command.world, command.seed, command.threads

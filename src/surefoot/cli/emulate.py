@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from surefoot.cli.helpers.options import MapPort, Repeated, Settings, Terrain, files_by_suffix
+from surefoot.cli.helpers.options import MapPort, Repeated, Settings, Terrain, changed_option, files_by_suffix
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Seed, Within
 from surefoot.errors import SurefootError, choices
@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
 STRIDE = 3
 """Servo steps that the physics may advance at once in real time; single steps take 1.5 times as long in Bullet."""
-HIDDEN_RANGES = "table1"
-"""Default table of ranges of hidden parameters."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class EmulateCommand:
             help="Table of their ranges. With ensemble, seeds 1 to 20 are the robots of world ensemble, and 21 to 60 "
             "the robots of ensemble-test.",
         ),
-    ] = HIDDEN_RANGES
+    ] = "table1"
     faults: Annotated[Repeated, tyro.conf.arg(name="fault", metavar="NAME[=VALUE][@TIME] [...]")] = ()
     """Faults to inject, such as drop=0.01, or unplug=1.5 (seconds after the robot is first armed); help lists them."""
     lockstep: bool = False
@@ -182,7 +180,7 @@ def _check_go2(robot: RobotDescription) -> None:
 
 def _params(command: EmulateCommand, robot: RobotDescription) -> PhysicalParams:
     if command.hidden_seed is None:
-        if command.hidden_ranges != HIDDEN_RANGES:
+        if changed_option(command, ("hidden_ranges",)) is not None:
             raise SurefootError("--hidden-ranges is given without --hidden-seed, which draws from them")
         return load_params(robot, command.params, command.settings)
     from surefoot.robot.randomization import draw_hidden, load_ranges

@@ -11,7 +11,7 @@ import tyro
 
 from surefoot.api.episodes import draw_episode, print_summaries
 from surefoot.cli import evaluate_policies, evaluate_sensitivity
-from surefoot.cli.helpers.options import Count, Json, Threads, make_figures_folder
+from surefoot.cli.helpers.options import Count, Json, Threads, changed_option, make_figures_folder
 from surefoot.cli.helpers.output import print_json, show_command
 from surefoot.cli.helpers.parsing import parse
 from surefoot.cli.helpers.ranges import RangeOptions, take_ranges
@@ -161,12 +161,10 @@ def _command_rows(command: EvaluateCommand, policy: Policy) -> tuple[tuple[float
 def _load_traces(command: EvaluateCommand, has_ranges: bool) -> tuple[Evaluation, RobotDescription, dict[str, Any]]:
     """Measure recorded runs of one robot; return their evaluation, the robot, and the trace files."""
     allowed = ("trace", "robot", "out", "json", "simulator")
-    options: list[tuple[Any, Any]] = [(item, command) for item in fields(command) if item.name not in allowed]
-    options += [(item, command.simulator) for item in fields(command.simulator)]
-    changed = [item.name for item, part in options if getattr(part, item.name) != item.default]
+    own, simulator = ([item.name for item in fields(part)] for part in (command, command.simulator))
+    changed = changed_option(command, set(own).difference(allowed)) or changed_option(command.simulator, simulator)
     if changed or has_ranges:
-        name = changed[0] if changed else "randomize"
-        option = "a policy" if name == "policy" else f"--{dict(settings='set').get(name, name).replace('_', '-')}"
+        option = "a policy" if changed == "--policy" else changed or "--randomize"
         raise SurefootError(f"--trace and {option} are given; recorded runs are measured without a simulation")
     from surefoot.api.results import Evaluation
     from surefoot.evaluation.estimated_motion import is_estimated, with_estimated_motion

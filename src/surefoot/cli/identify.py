@@ -12,7 +12,7 @@ from pathlib import Path
 
 from surefoot.cli.helpers.identify_logs import TracesCommand, identify_from_logs, new_folder
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment, show_plan
-from surefoot.cli.helpers.options import check_folder, check_suffix
+from surefoot.cli.helpers.options import changed_option, check_folder, check_suffix
 from surefoot.cli.helpers.output import Actions, make_console, next_command, print_json, run_action, table_lines
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, suggest
@@ -27,6 +27,8 @@ STOPPED = 3
 """Exit code of an experiment that was stopped."""
 RECORDING = "recording.npz"
 TRACE = "--trace"
+LOG_OPTIONS = ("rack", "hold_out", "generations", "settings", "plan", "duration", "seed")
+"""Options of `identify --trace` that only logs of a robot with joint actuators have."""
 ACTIONS: Actions = {
     "replay": ("replay the commands of a recorded run in simulation, and compare", "surefoot.cli.identify_replay"),
     "import": ("convert a log to a trace; formats: NPZ, CSV, pickle, torch, Parquet, MCAP, ROS bag",
@@ -94,17 +96,8 @@ def _identify_from_traces(argv: list[str]) -> int:
     check_folder(command.out)
     if command.robot is not None and (robot := RobotDescription.load(command.robot)).actuator.kind == "joint":
         return identify_from_logs(command, robot)
-    for option, value in (
-        ("rack", command.rack),
-        ("hold-out", command.hold_out),
-        ("generations", command.generations),
-        ("set", command.settings),
-        ("plan", command.plan),
-        ("duration", command.duration is not None),
-        ("seed", command.seed != 1),
-    ):
-        if value:
-            raise SurefootError(f"--{option} is for logs of a robot with joint actuators; name the robot with --robot")
+    if (option := changed_option(command, LOG_OPTIONS)) is not None:
+        raise SurefootError(f"{option} is for logs of a robot with joint actuators; name the robot with --robot")
     from surefoot.evaluation.recorded import find_traces, load_robot
 
     traces = find_traces(command.trace)
@@ -199,9 +192,8 @@ def _check_options(command: ExperimentCommand) -> None:
     else:
         without = "it can't be combined with --recording, which needs no robot"
         command.reject_link(without)
-        for option, value in (("record-only", command.record_only), ("yes", command.yes), ("set", command.settings)):
-            if value:
-                raise SurefootError(f"--{option} is given; {without}")
+        if (option := changed_option(command, ("record_only", "yes", "settings"))) is not None:
+            raise SurefootError(f"{option} is given; {without}")
     if command.record_only and command.params is not None:
         raise SurefootError("--record-only and --params can't be combined; only the fit uses parameters")
     check_suffix("params", command.params, ".toml")

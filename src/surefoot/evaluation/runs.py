@@ -5,7 +5,6 @@ Evaluation, reality gap, sensitivity and studies share these columns, for simula
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -176,7 +175,7 @@ def command_metrics(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
         return {}
     return {
         **Tracking.from_traces(commanded).to_mapping(),
-        "success": _mean([math.nan if known is None else known for known in map(is_successful, commanded)]),
+        "success": _mean(list(map(is_successful, commanded))),
     }
 
 
@@ -199,9 +198,9 @@ def _hottest(traces: Sequence[EpisodeTrace]) -> dict[str, Any]:
     """Return the motor with the highest mean heating power, and this power [W]; None if it was not measured."""
     time = sum(trace.duration for trace in traces)
     heat = np.sum([trace.motor_heat.sum(axis=0) for trace in traces], axis=0)
-    hottest = int(heat.argmax())
     if not np.isfinite(heat).all():
         return {"hottest_motor": None, "hottest_heat": None}
+    hottest = int(heat.argmax())
     return {
         "hottest_motor": traces[0].meta["motor_names"][hottest],
         "hottest_heat": plain_value(float(heat[hottest] / time)),
@@ -219,8 +218,8 @@ def _cost_of_transport(traces: Sequence[EpisodeTrace], weight: float) -> float:
     return sum(map(_energy, traces)) / (weight * distance) if distance > 0 else np.nan
 
 
-def _mean(values: ArrayLike) -> object:
-    """Return the mean of values without NaN; None if there are none."""
+def _mean(values: ArrayLike | Sequence[bool | None]) -> object:
+    """Return the mean of values without NaN and None; None if there are none."""
     return plain_value(float(pd.Series(values, dtype=np.float64).mean()))
 
 

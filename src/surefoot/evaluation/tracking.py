@@ -107,9 +107,10 @@ def is_successful(trace: EpisodeTrace) -> bool | None:
     None if it did not fall and its motion was not measured.
     """
     commanded, covered = (distances.sum() for distances in _step_distances(trace))
-    if trace.meta["ended"] == "time" and not np.isfinite(covered):
+    is_complete = trace.meta["ended"] == "time"
+    if is_complete and not np.isfinite(covered):
         return None
-    return bool(is_success(commanded, covered, np.asarray(trace.meta["ended"] == "time")))
+    return bool(is_success(commanded, covered, np.asarray(is_complete)))
 
 
 def _step_distances(trace: EpisodeTrace) -> tuple[Array, Array]:

@@ -152,13 +152,12 @@ def load_ranges(name: str, folder: Path = Path(), robot: str | Path = DEFAULT_RO
     """
     description = RobotDescription.load(robot)
     own = description.folder
-    tables = [own / "ranges" / f"{name}.yaml", _RANGES_FOLDER / f"{name}.yaml"]
+    paths = [own / "ranges" / f"{name}.yaml"]
     if name in range_names():
-        paths = tables
-    elif name == "robot":
-        paths = [folder / name]
-    else:
-        paths = [*tables[:1], own / f"{name}.toml", folder / name]
+        paths.append(_RANGES_FOLDER / f"{name}.yaml")
+    elif name != "robot":  # whose file is the data sheet
+        paths.append(own / f"{name}.toml")
+    paths.append(folder / name)
     with describe_os_errors(f"randomize {quote(name)}"):
         path = next((path for path in paths if path.is_file()), None)
     if path is None:

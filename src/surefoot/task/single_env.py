@@ -14,6 +14,14 @@ from surefoot.task.config import TaskConfig
 from surefoot.task.env import Camera, LocomotionEnv
 from surefoot.world.interface import SimulationFactory
 
+_CHANGING = (
+    *(gymnasium.ObservationWrapper, gymnasium.ActionWrapper),
+    *(gymnasium.vector.VectorObservationWrapper, gymnasium.vector.VectorActionWrapper),
+)
+"""Wrappers that change observations or actions."""
+_UNCHANGED = (gymnasium.wrappers.ClipAction, gymnasium.wrappers.FlattenObservation)
+"""Those that leave surefoot's as they are: the environment clips actions itself, and observations are flat."""
+
 
 class LocomotionSingleEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """Gymnasium environment with one robot, for learning libraries without support for vector environments.
@@ -66,49 +74,26 @@ def _first(info: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-_CHANGING = {"ObservationWrapper", "ActionWrapper", "VectorObservationWrapper", "VectorActionWrapper"}
-"""Names of the base classes of Gymnasium's wrappers that change observations or actions."""
-_UNCHANGED = {"ClipAction", "FlattenObservation"}
-"""Names of those that leave surefoot's as they are: the environment clips actions itself, and observations are flat."""
-
-
-def check_wrappers(env: Any) -> None:
-    """Reject wrappers of Gymnasium that change observations or actions: a policy file does not contain them.
-
-    Raises:
-        SurefootError: with the first such wrapper.
-    """
-    inner = env
-    while inner is not None and not isinstance(inner, LocomotionSingleEnv | LocomotionEnv):
-        names = [kind.__name__ for kind in type(inner).__mro__]
-        if _CHANGING & set(names) and not _UNCHANGED & set(names):
-            raise SurefootError(
-                f"env has the wrapper {names[0]}, which changes observations or actions and would be lost; train "
-                "without it, or export a torch module that contains it"
-            )
-        several = getattr(inner, "envs", None)
-        inner = several[0] if isinstance(several, list | tuple) else _inside(inner)
-
-
-def _inside(env: Any) -> Any:
-    """Return the environment that a wrapper contains, or None."""
-    return next((part for name in ("venv", "env") if (part := getattr(env, name, None)) is not None), None)
-
-
 def find_batch(env: Any) -> LocomotionEnv:
     """Return the `LocomotionEnv` inside an environment of Gymnasium or Stable-Baselines3, which may be wrapped.
 
     Raises:
-        SurefootError: an environment of another package, or one in another process.
+        SurefootError: an environment of another package, one in another process, or a wrapper of Gymnasium that changes
+            observations or actions, which a policy file does not contain.
     """
     inner = env
     while inner is not None and not isinstance(inner, LocomotionEnv):
+        if isinstance(inner, _CHANGING) and not isinstance(inner, _UNCHANGED):
+            raise SurefootError(
+                f"env has the wrapper {type(inner).__name__}, which changes observations or actions and would be lost; "
+                "train without it, or export a torch module that contains it"
+            )
         if isinstance(inner, LocomotionSingleEnv):
             inner = inner.batch
         elif isinstance(several := getattr(inner, "envs", None), list | tuple):
             inner = several[0]
         else:
-            inner = _inside(inner)
+            inner = next((part for name in ("venv", "env") if (part := getattr(inner, name, None)) is not None), None)
     if inner is None:
         raise SurefootError(f"env is a {type(env).__name__}; it must be an environment of surefoot, in this process")
     return inner

@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 from numpy.typing import ArrayLike
 
-from surefoot.cli.helpers.options import Port, ask_to_release
+from surefoot.cli.helpers.options import Port, ask_to_release, changed_option
 from surefoot.configuration import Within
 from surefoot.deploy.checks import WATCHDOG_STEPS
 from surefoot.deploy.links import open_dds_link, open_link
@@ -72,9 +72,8 @@ class LinkOptions(SerialOptions):
 
     def reject_link(self, without: str) -> None:
         """Reject options of a link; `without` says why there is none, such as "a recording needs no robot"."""
-        for item in fields(LinkOptions):
-            if getattr(self, item.name) != item.default:
-                raise SurefootError(f"--{item.name.replace('_', '-')} is given; {without}")
+        if (option := changed_option(self, [item.name for item in fields(LinkOptions)])) is not None:
+            raise SurefootError(f"{option} is given; {without}")
 
     def open_link(self, robot: RobotDescription, contract: Contract, may_ask: bool = True) -> RobotLink:
         """Open the link to a robot; over DDS the robot receives the policy's gains and a watchdog timeout.

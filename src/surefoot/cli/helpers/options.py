@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
+from dataclasses import fields
 from importlib import import_module
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -135,6 +136,14 @@ def check_folder(path: Path | None) -> None:
     """Reject a file where `--out` must be a folder."""
     if path is not None and path.exists() and not path.is_dir():
         raise SurefootError(f"out is {path}; it must be a folder")
+
+
+def changed_option(options: Any, names: Container[str]) -> str | None:
+    """Return the first option of a dataclass that differs from its default, such as --hold-out; None if none does."""
+    for item in fields(options):
+        if item.name in names and getattr(options, item.name) != item.default:
+            return f"--{'set' if item.name == 'settings' else item.name.replace('_', '-')}"
+    return None
 
 
 def make_figures_folder(path: Path | None) -> None:

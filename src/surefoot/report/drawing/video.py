@@ -23,6 +23,8 @@ from surefoot.world.ground import FLAT, Ground
 _THREADS, _BATCH = 2, 16
 """Number of rendering threads, and number of frames rendered before they are encoded."""
 INK, PANEL = (34, 39, 46), (255, 255, 255, 190)
+_REACH = 6.0
+"""Standard deviations of the smoothing's weights beyond which samples are left out."""
 
 
 def render_video(
@@ -133,10 +135,6 @@ def write_label(picture: Image.Image, text: str) -> None:
 def label_font(size: int) -> Any:
     """Return Pillow's built-in font, which is available on every machine."""
     return ImageFont.load_default(size)
-
-
-_REACH = 6.0
-"""Standard deviations of the smoothing's weights beyond which samples are left out."""
 
 
 def _smooth_track(times: Array, track: Array, smoothing: float) -> tuple[Array, Array]:
