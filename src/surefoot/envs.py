@@ -20,7 +20,7 @@ from surefoot.robot import RobotDescription
 from surefoot.task.config import TaskConfig, load_task, preset_names
 from surefoot.task.env import Camera, LocomotionEnv
 from surefoot.task.single_env import LocomotionSingleEnv
-from surefoot.world.registry import find_world
+from surefoot.world.registry import check_randomized, find_world
 
 
 def make_single(
@@ -39,7 +39,7 @@ def make_single(
         world: name of the world (simulator).
         render_mode: "rgb_array" lets `render` return images, drawn in software; None disables rendering.
     """
-    config = _config(task, robot)
+    config = _config(task, robot, world)
     return LocomotionSingleEnv(config, find_world(world), seed, _camera(config, render_mode))
 
 
@@ -53,15 +53,18 @@ def make_vector(
     render_mode: str | None = None,
 ) -> LocomotionEnv:
     """Return the vectorized environment of a task, simulated on all cores; for the arguments see `make_single`."""
-    config, make_world = _config(task, robot), find_world(world)
+    config, make_world = _config(task, robot, world), find_world(world)
     camera = _camera(config, render_mode)
     return LocomotionEnv(config, num_envs, make_world, seed, threads=threads, camera=camera, step_info=True)
 
 
-def _config(task: str | TaskConfig, robot: str | None) -> TaskConfig:
+def _config(task: str | TaskConfig, robot: str | None, world: str) -> TaskConfig:
     if isinstance(task, TaskConfig):
-        return task if robot is None else replace(task, robot=robot)
-    return load_task(task, robot)[0]
+        config = task if robot is None else replace(task, robot=robot)
+    else:
+        config = load_task(task, robot)[0]
+    check_randomized(world, config.randomize)
+    return config
 
 
 def _camera(task: TaskConfig, render_mode: str | None) -> Camera | None:

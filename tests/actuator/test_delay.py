@@ -22,9 +22,9 @@ class History:
         push_kernel(self.times, self.samples, self.count, time, sample)
         self.count += 1
 
-    def read(self, time: float, width: int = 2) -> np.ndarray:
+    def read(self, time: float, width: int = 2, yaw: int = -1) -> np.ndarray:
         out = np.empty(width)
-        read_kernel(self.times, self.samples, self.count, time, width, out)
+        read_kernel(self.times, self.samples, self.count, time, width, yaw, out)
         return out
 
 
@@ -58,6 +58,17 @@ def test_the_readings_of_the_docstrings_table(latency: float, expected: list[flo
         history.push(float(k), np.array([k + 10.0, 0.0]))
         seen.append(history.read(k - latency, width=1)[0])
     assert seen == expected
+
+
+# Between 3.1 and -3.1 rad are 0.083 rad through pi; a quarter of that is beyond 3.1 by 0.0208, three quarters by 0.0624.
+@pytest.mark.parametrize(("at", "expected"), [(0.25, 3.12080), (0.75, -3.12080), (1.25, -3.12080), (1.75, 3.12080)])
+def test_yaw_is_interpolated_through_pi(at: float, expected: float):
+    history = History()
+    for k, yaw in enumerate((3.1, -3.1, 3.1)):
+        history.push(float(k), np.array([yaw, yaw]))
+    plain, wrapped = history.read(at, yaw=1)
+    assert wrapped == pytest.approx(expected, abs=1e-5)
+    assert abs(plain) < 3.1  # another reading is not an angle
 
 
 @pytest.mark.parametrize(("at", "held"), [(-49.0, 0.0), (1.4, 1.0)])

@@ -101,6 +101,9 @@ def test_robots_of_other_settings_are_not_taken_for_the_studys() -> None:
     with pytest.raises(SurefootError, match=r"hidden\.yaml: .* with other robots\.ranges, robots\.world than"):
         identify_robots(wrong, folder, Path("work"), 1, lambda *_: None)
     assert not calls()
+    # Their files must not stay beside robots of other settings either.
+    with pytest.raises(SurefootError, match=r"with other robots\.world than"):
+        replace(ROBOTS, seeds=(2, 3), world="mujoco").check_settings(folder)
     (folder / "hidden.yaml").unlink()
     with pytest.raises(SurefootError, match=r"hidden\.yaml: can't be read: No such file"):
         ROBOTS.check_settings(folder)

@@ -111,6 +111,8 @@ def test_runs_go_seed_by_seed_into_fixed_folders(tmp_path: Path) -> None:
         ("{groups: {a: {}, b: {}, c: {}}, effects: {x: [[a, b], [a, c]]}}", "without a group in common"),
         ("{groups: {a: {}, b: {}}, effects: {x: [[a, b], [c, d]]}}", "effects.x: 'c' is no group of the study"),
         ("{groups: {a: {}}, bars: {others: [a]}}", "bars.others: this name belongs to the groups that are in no set"),
+        ("{groups: {a: {label: x}, b: {label: x}}}", "groups: two groups have the label 'x'"),
+        ("{groups: {a: {}, b: {label: a}}}", "groups: two groups have the label 'a'"),
         ("{groups: {a: {}}, top: 0}", "top is 0; it must be 1 or more"),
         ("{groups: {a: {}}, top: [1]}", "top is .1.; it must be a whole number"),
         ("{groups: {a: {}}, bars: {x: [b]}}", "bars.x: 'b' is no group of the study; choices: a"),
@@ -181,6 +183,10 @@ def test_extend_reopens_a_finished_run(tmp_path: Path) -> None:
     store(run, "checkpoints/latest.ckpt")
     store(run, "policy.onnx")
     longer = make_run(run.path, steps=9000)
+    longer.checkpoint.unlink()
+    with pytest.raises(SurefootError, match=r"run: has no checkpoint, so that its 5,000 control steps can't be contin"):
+        longer.check(extend=True)
+    store(run, "checkpoints/latest.ckpt")
     longer.check(extend=True)
     run.extend()
     assert run.state == "finished"

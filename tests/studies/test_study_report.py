@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -200,6 +201,32 @@ def test_the_report_of_one_seed_has_no_intervals(tmp_path: Path) -> None:
     assert "**" not in "".join(cells(text, "Differences", "4-D, randomized"))
     assert "small_plain seed 1" in text.split("## Trainings")[0]
     assert report_from_tables(study.study, tmp_path, "command") == text
+
+
+@pytest.mark.parametrize("seeds", [(0,), (0, 1)])
+def test_episodes_of_one_or_two_policies_give_no_interval_of_falls(seeds: tuple[int, ...]) -> None:
+    study = comparison(("nominal", "table1"), seeds)
+    falls = next(metric for metric in study.metrics if metric.name == "table1_falls")
+    for name in ("small_plain", "large_plain"):
+        study.select_group(name).results.iloc[0]["table1"]["runs"]["fell"][:] = [True] * 5
+    one = study.interval("small_plain", falls)
+    assert one.mean == pytest.approx({1: 100.0, 2: 60.0}[len(seeds)])
+    change = study.difference("small_randomized", "small_plain", falls)
+    assert change.mean < -30
+    assert not (one.is_finite or change.is_finite)
+    assert math.isnan(change.p)
+
+
+def test_pairs_without_policies_count_in_the_correction() -> None:
+    study = comparison(("nominal",))
+    table = study_tables(study)["differences"].set_index(["group", "figure"])
+    part = replace(study, policies=study.policies[study.policies.group.str.startswith("small")])
+    alone = study_tables(part)["differences"].set_index(["group", "figure"])
+    place = ("small_randomized", "nominal_return")
+    assert len(alone) == len(table) / 2
+    assert alone.p[place] == table.p[place] < 0.3
+    assert alone.p_holm[place] == pytest.approx(2 * alone.p[place])
+    assert "Comparisons that the study's file declares: 2; with" in report_text(part, study_tables(part), "command")
 
 
 def test_returns_of_other_rewards_have_no_unit() -> None:

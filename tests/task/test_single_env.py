@@ -158,3 +158,10 @@ def test_gymnasiums_statistics_wrap_one_robot_and_a_batch():
             *_, info = env.step(np.zeros(shape, np.float32))
         assert np.all(info["episode"]["l"] == 3)
         assert info["episode"]["r"] == pytest.approx(info["figures"]["return"], abs=1e-5)
+
+
+def test_robots_of_the_ensemble_are_not_randomized():
+    with pytest.raises(SurefootError, match="world 'ensemble' has robots of its own, whose parameters can't be"):
+        surefoot.envs.make_vector("trot-robust", 2, world="ensemble")
+    with pytest.raises(SurefootError, match="world 'ensemble' has robots of its own"):
+        surefoot.envs.make_single("trot-robust", world="ensemble")

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -129,3 +131,15 @@ def test_falling_legs_convert_potential_to_kinetic_energy(robot: RobotDescriptio
     assert max(kinetic) > 0.5  # J
     # The error of a first-order integrator is proportional to its step, or less.
     assert rack.energy() == pytest.approx(start, abs=share * max(kinetic))
+
+
+def test_friction_is_the_data_sheets_and_not_the_urdfs(tmp_path: Path):
+    shutil.copytree(RobotDescription.load("solo8").folder, tmp_path / "solo8")
+    urdf = tmp_path / "solo8" / "solo8.urdf"
+    joint = '<joint name="FL_HFE" type="revolute">'
+    text = urdf.read_text().replace(joint, f'{joint}<dynamics damping="0.5" friction="0.3"/>')
+    assert "dynamics" in text
+    urdf.write_text(text)
+    model = build_model(RobotDescription.load(tmp_path / "solo8"))
+    assert not model.dof_damping.any()
+    assert not model.dof_frictionloss.any()

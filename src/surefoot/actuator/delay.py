@@ -12,6 +12,8 @@ between the two samples around it. With samples taken at t = 0, 1, 2 (in servo s
 
 from __future__ import annotations
 
+import math
+
 from surefoot.actuator.compiled import kernel
 from surefoot.arrays import Array
 
@@ -26,10 +28,10 @@ def push_kernel(times: Array, samples: Array, count: int, time: float, sample: A
 
 
 @kernel
-def read_kernel(times: Array, samples: Array, count: int, time: float, width: int, out: Array) -> None:
+def read_kernel(times: Array, samples: Array, count: int, time: float, width: int, yaw: int, out: Array) -> None:
     """Write the first `width` entries of one robot's reading at `time` to `out`, after `count` pushes.
 
-    Times before the oldest stored sample return the oldest sample; times after the newest return the newest.
+    Entry `yaw` is an angle from -pi to pi, which is interpolated along the shorter way; -1 if there is none. Times before the oldest stored sample return the oldest sample; times after the newest return the newest.
     """
     size = len(times)
     newest = count - 1
@@ -46,4 +48,9 @@ def read_kernel(times: Array, samples: Array, count: int, time: float, width: in
     a = (later - 1) % size
     weight = (time - times[a]) / (times[b] - times[a])
     for j in range(width):
-        out[j] = samples[a, j] + weight * (samples[b, j] - samples[a, j])
+        change = samples[b, j] - samples[a, j]
+        if j == yaw and abs(change) > math.pi:
+            change -= math.copysign(2.0 * math.pi, change)
+        out[j] = samples[a, j] + weight * change
+        if j == yaw and abs(out[j]) > math.pi:
+            out[j] -= math.copysign(2.0 * math.pi, out[j])

@@ -239,7 +239,7 @@ class DrivePage:
             legs=robot.leg_names,
             source=self.source_name,
             limits=None if limits is None else [[*getattr(limits, name)] for name in COMMANDS],
-            live_parameters=[asdict(knob) for knob in self.robot.live_parameters()],
+            live_parameters=self._live_parameters(),
             speeds=SPEEDS,
             pushes=_PUSH_DURATIONS,
         )
@@ -322,7 +322,11 @@ class DrivePage:
         for robot in reversed(self._robots):  # the ghost first: if it rejects the value, nothing changes
             robot.set(name, value)
         self._settings[name] = value
+        self._page.update_options(live_parameters=self._live_parameters())
         self._page.send(done=[name, value])
+
+    def _live_parameters(self) -> list[dict[str, Any]]:
+        return [asdict(knob) for knob in self.robot.live_parameters()]
 
     def _record(self, on: bool) -> None:
         if on and not self.recordings.is_recording:

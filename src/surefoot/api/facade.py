@@ -72,7 +72,7 @@ def train(
         _require_drawing()
     from rich.console import Console
 
-    from surefoot.api.training import check_config, run_training, symmetry_note
+    from surefoot.api.training import check_config, run_training, training_notes
     from surefoot.configuration import from_mapping
     from surefoot.learn.config import TrainConfig, load_train_config
     from surefoot.learn.run_folder import RunFolder
@@ -90,7 +90,7 @@ def train(
     config = from_mapping(TrainConfig, data, base=base)
     check_config(config)
     console = Console(highlight=False, soft_wrap=True, markup=False)
-    if (note := symmetry_note(config)) is not None:
+    for note in training_notes(config):
         console.print(f"note: {note}")
     folder = RunFolder.create(config, Path(runs))
     summaries = run_training(folder, console, figures=figures)

@@ -20,6 +20,8 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import LoggerName, TrainConfig
 from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
+from surefoot.robot.params import CONTROLLER_PARAMETERS
+from surefoot.robot.randomization import RelativeRange
 from surefoot.stop_signals import StopSignals
 from surefoot.world.registry import check_randomized, find_world
 
@@ -66,6 +68,11 @@ def check_config(config: TrainConfig) -> None:
         )
 
 
+def training_notes(config: TrainConfig) -> list[str]:
+    """Return what a user may not expect of a training."""
+    return [note for find in (start_note, symmetry_note, replaced_note) if (note := find(config)) is not None]
+
+
 def symmetry_note(config: TrainConfig) -> str | None:
     """Return a note why mirrored samples are not used although they are requested, or None."""
     if not config.ppo.symmetry:
@@ -93,6 +100,20 @@ def start_note(config: TrainConfig) -> str | None:
     return (
         f"the policy of {config.start_from} was trained with another reference or other parameters, so its actions had "
         f"other effects: {', '.join(changes[:_MAX_LISTED_CHANGES])}{more}"
+    )
+
+
+def replaced_note(config: TrainConfig) -> str | None:
+    """Return a note on given physical parameters, such as identified ones, that absolute ranges replace, or None."""
+    ranges, params = config.task.randomize, config.task.params
+    given = set(params) - set(CONTROLLER_PARAMETERS)  # control step and gains are the task's own
+    replaced = [name for name, one in ranges.items() if name in given and not isinstance(one, RelativeRange)]
+    if not replaced:
+        return None
+    option = replaced[0].replace("_", "-")
+    return (
+        f"ranges replace the given values of {', '.join(replaced)}; --randomize.{option} scale 0.9 1.1 is a range around "
+        f"the given value, and --randomize.{option} none keeps it"
     )
 
 

@@ -103,7 +103,7 @@ class EmulateCommand:
     firmware: Annotated[
         Path | None,
         tyro.conf.arg(
-            help="Firmware in C that the emulated microcontroller runs: a program compiled by `make host` in a folder "
+            help="Firmware in C that the emulated microcontroller runs: a program compiled by `make` in a folder "
             "of `surefoot robot firmware new`. Defaults to surefoot's implementation in Python.",
         ),
     ] = None

@@ -42,7 +42,7 @@ class NewRobotCommand:
     out: Path | None = None
     """Folder to write. Defaults to the robot's name in the current folder."""
     name: str | None = None
-    """Name of the robot. Defaults to the name in the file."""
+    """Name of the robot. Defaults to the file's name, or to the name in the file if that is generic, as robot.urdf."""
     forward: Literal["+x", "-x", "+y", "-y"] | None = None
     """Forward direction in the file's base frame. By default it is derived from names and axes of the joints."""
     knees: Knees | None = None

@@ -89,6 +89,9 @@ def _run(argv: list[str]) -> int:
     command = parse(StudyCommand, argv, "surefoot study run")
     if command.train_only and command.report_only:
         raise SurefootError("--train-only and --report-only can't be combined; give one of them, or neither")
+    if command.extend and command.report_only:
+        raise SurefootError("--extend continues trainings, and --report-only trains nothing; give one of them")
+    check_address(command.ray)
     from surefoot.cli.helpers.study_results import (
         check_evaluations,
         evaluate_runs,
@@ -193,7 +196,6 @@ def train(study: StudyConfig, runs: list[Training], command: StudyCommand, conso
     if not waiting:
         console.print(f"{study.name}: all {len(runs)} trainings are finished")
         return TrainingsOutcome()
-    check_address(command.ray)
     for group, run in {run.group: run for run in waiting}.items():
         with prefix_errors(f"group {group}"):
             check_config(run.config)

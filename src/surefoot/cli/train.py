@@ -53,10 +53,10 @@ def main(argv: list[str]) -> int:
     if argv[0].startswith("-"):
         raise SurefootError(f"'{argv[0]}' is not a task; {suggest(argv[0], preset_names())}, or a YAML file")
     config, command = _parse(argv)
-    from surefoot.api.training import check_config, start_note, symmetry_note
+    from surefoot.api.training import check_config, training_notes
 
     check_config(config)
-    for note in filter(None, (start_note(config), symmetry_note(config))):
+    for note in training_notes(config):
         print(f"note: {note}")
     options = command.page, command.logger_name
     from surefoot.learn.run_folder import RunFolder

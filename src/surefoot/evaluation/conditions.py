@@ -119,8 +119,9 @@ class Condition:
 
 
 def undisturbed_task(task: TaskConfig) -> TaskConfig:
-    """Return the task without randomization and pushes, with its own actuator, latencies and physical parameters."""
-    return replace(task, randomize={}, pushes=replace(task.pushes, enabled=False))
+    """Return the task without randomization, pushes and curricula, with its own actuator, latencies and parameters."""
+    pushes, commands = replace(task.pushes, enabled=False), replace(task.commands, ramp=0)
+    return replace(task, randomize={}, randomize_ramp=0, pushes=pushes, commands=commands)
 
 
 def data_sheet_task(task: TaskConfig) -> TaskConfig:

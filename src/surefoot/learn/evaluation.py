@@ -40,7 +40,7 @@ class TrainingEvaluation:
         return -self.falls, self.return_mean - 0.25 * self.pushed_falls
 
 
-def _evaluation_task(config: TrainConfig) -> TaskConfig:
+def evaluation_task(config: TrainConfig) -> TaskConfig:
     """Return the task of evaluations: terrain of all levels, no curricula, own physics step, reward of evaluations."""
     task = config.task
     return replace(
@@ -56,7 +56,7 @@ def _evaluation_task(config: TrainConfig) -> TaskConfig:
 def evaluate_policy(learner: PpoLearner, make_world: SimulationFactory, episodes: int) -> TrainingEvaluation:
     """Run the deterministic policy for complete episodes, always with the same seed, and return its metrics."""
     config, results, rmse = learner.config, [], None
-    base = _evaluation_task(config)
+    base = evaluation_task(config)
     for pushed in (False, True) if base.pushes.enabled else (False,):
         task = replace(base, pushes=replace(base.pushes, enabled=pushed, ramp=0))
         env = LocomotionEnv(task, episodes, make_world, EVALUATION_SEED + config.seed, False, config.threads)

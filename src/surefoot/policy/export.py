@@ -11,7 +11,7 @@ import torch
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.files import atomic_write
-from surefoot.policy.contract import Contract
+from surefoot.policy.contract import MEMORY_RANGE, Contract
 from surefoot.policy.digest import add_digest, read_parts
 from surefoot.policy.graph import Graph
 from surefoot.policy.network import INPUT, OUTPUT, check_network
@@ -94,7 +94,9 @@ def _compare_outputs(network: nn.Module, policy: PolicyRuntime, output: str) -> 
     with torch.no_grad():
         raw: Array = network(torch.from_numpy(observation).to(device)).cpu().numpy()
     expected = np.clip(raw, low, high) if output == "feedback" else low + (np.clip(raw, -1, 1) + 1) / 2 * (high - low)
-    difference = np.abs(policy.feedback(observation) - expected) / np.where(high > low, (high - low) / 2, 1.0)
+    # The bounds of memory are far outside of its values.
+    scale = np.where(high - low >= MEMORY_RANGE, np.maximum(np.abs(expected), 1.0), (high - low) / 2)
+    difference = np.abs(policy.feedback(observation) - expected) / np.where(scale > 0, scale, 1.0)
     if not difference.max() <= _TOLERANCE:
         raise SurefootError(
             f"the file would return other actions than the network, by up to {difference.max():.2g}: does the network "

@@ -19,6 +19,7 @@ from surefoot.evaluation.runs import summarize_runs
 from surefoot.evaluation.sensitivity import Sensitivity
 from surefoot.evaluation.statistics import (
     CONFIDENCE,
+    MIN_SAMPLES,
     Interval,
     MeanEstimate,
     crossed_interval,
@@ -135,16 +136,18 @@ class Comparison:
     def interval(self, group: str, metric: ResultMetric) -> Interval:
         """Return the mean of a metric over a group, with its interval over seeds and, if it has several, robots."""
         values, trials = self._values(group, metric), self._trials(group, metric)
-        if trials:
+        # Episodes of one or two policies are not independent trials: without an interval over policies there is none.
+        if trials and len(values) >= MIN_SAMPLES:
             full = metric.full_scale(trials)
             return proportion_interval(values / full, trials).scale(full)
         return crossed_interval(values) if values.ndim == 2 else t_interval(values)
 
     def difference(self, group: str, base: str, metric: ResultMetric) -> Interval:
         """Return the difference of a metric's means, `group` minus `base`, with its interval."""
-        if self._trials(group, metric):
+        values = self._values(group, metric), self._values(base, metric)
+        if self._trials(group, metric) and min(map(len, values)) >= MIN_SAMPLES:
             return proportion_difference(self.interval(group, metric), self.interval(base, metric))
-        return difference_interval((self._values(group, metric), self._values(base, metric)))
+        return difference_interval(values)
 
     def effect(self, name: str, metric: ResultMetric) -> Interval | None:
         """Return a main effect of the study on a metric that is a mean; None for a metric that is a percentage."""
@@ -257,7 +260,7 @@ def _effects(comparison: Comparison) -> list[dict[str, Any]]:
 
 
 def _differences(comparison: Comparison, metrics: Sequence[ResultMetric]) -> pd.DataFrame:
-    """Return one row per pair and metric; a metric's p values are adjusted for the number of pairs."""
+    """Return one row per pair and metric; a metric's p values are adjusted for the number of pairs in the study."""
     rows = [
         {"group": other, "against": base, "figure": metric.name, "unit": metric.unit}
         | interval.columns("difference")
@@ -267,7 +270,12 @@ def _differences(comparison: Comparison, metrics: Sequence[ResultMetric]) -> pd.
         for interval in [comparison.difference(other, base, metric)]
     ]
     table = pd.DataFrame(rows)
-    return table.assign(p_holm=table.groupby("figure").p.transform(holm)) if rows else table
+    if not rows:
+        return table
+    waiting = len(comparison.study.pairs) - len(comparison.present_pairs())
+    # Pairs whose groups have no policies yet count in the correction.
+    adjusted = table.groupby("figure").p.transform(lambda p: holm([*p, *[math.nan] * waiting])[: len(p)])
+    return table.assign(p_holm=adjusted)
 
 
 def write_tables(comparison: Comparison, tables: Mapping[str, pd.DataFrame], folder: Path) -> list[Path]:
@@ -307,7 +315,8 @@ def _gap_rows(which: str, group: str, comparison: Comparison) -> list[dict[str, 
         runs, balanced = gap.in_world(world), gap.table(world, "balanced")
         row = {"group": group, "label": gap.name, "policies": which, "seeds": seeds, **summarize_runs(runs)}
         row |= crossed_interval(gap.table(world, "return")).columns("return")
-        row |= proportion_interval(balanced, balanced.shape[1]).columns("balanced_share")
+        share = proportion_interval(balanced, balanced.shape[1])
+        row |= (share if len(balanced) >= MIN_SAMPLES else Interval(share.mean)).columns("balanced_share")
         row |= {"balanced": int(balanced.sum()), "far": int((runs.distance > FAR_DISTANCE).sum())}
         row |= {"least_distance": float(runs.distance.min())}
         over_runs = gap.gap_over_runs(world) if number else MeanEstimate()

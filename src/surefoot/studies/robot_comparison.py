@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.arrays import Array
-from surefoot.evaluation.statistics import Interval, crossed_interval, proportion_interval, t_interval
+from surefoot.evaluation.statistics import MIN_SAMPLES, Interval, crossed_interval, proportion_interval, t_interval
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.params_file import ParamsFile
@@ -123,8 +123,10 @@ class RobotComparison:
             trials = int(own.runs.sum()) // max(len(table), 1)
             if metric == "home_falls":  # The same runs for all robots.
                 table, trials = table[:, 0], trials // table.shape[1]
-            return _percent_interval(table, trials) if is_fraction else crossed_interval(table)
-        if is_fraction and len(own):
+            if is_fraction and len(table) >= MIN_SAMPLES:
+                return _percent_interval(table, trials)
+            return crossed_interval(table) if table.ndim == 2 else t_interval(table)
+        if is_fraction and len(own) >= MIN_SAMPLES:
             return _percent_interval(own[metric].to_numpy(), round(float(own.runs.mean())))
         return t_interval(own[metric])
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -12,10 +13,12 @@ from typing import Any
 
 import pandas as pd
 
+from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
 from surefoot.evaluation.conditions import data_sheet_task
 from surefoot.evaluation.runs import measure_runs
 from surefoot.evaluation.statistics import Interval, t_interval
+from surefoot.learn.evaluation import evaluation_task
 from surefoot.robot import RobotDescription
 from surefoot.studies.evaluations import EvaluationRun, Result, cached_result, evaluate
 from surefoot.studies.search import Search, SearchConfig
@@ -126,14 +129,23 @@ def _cell(value: Any) -> Any:
 
 def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
     """Run fresh episodes in the training simulator, and in Bullet on the data sheet's robot; results are cached."""
-    reward = search.config.train.task.reward
+    # Terrain and reward as in the evaluations whose returns the search compared; a contract has neither.
+    compared = evaluation_task(search.config.train)
+    terrain = json.loads(json.dumps(to_mapping(compared.terrain)))
 
     def run(world: str) -> pd.DataFrame:
-        settings = {"world": world, "episodes": _EPISODES, "seed": _SEED, "reward": reward}
+        settings = {"world": world, "episodes": _EPISODES, "seed": _SEED, "reward": compared.reward, "terrain": terrain}
 
         def compute() -> Result:
             run = EvaluationRun.load(path, settings)
-            task = replace(run.task, reward=reward, pushes=replace(run.task.pushes, enabled=False))
+            task = replace(
+                run.task,
+                reward=compared.reward,
+                terrain=compared.terrain,
+                randomize_ramp=0,
+                commands=replace(run.task.commands, ramp=0),
+                pushes=replace(run.task.pushes, enabled=False),
+            )
             traces = run.run(task if world == "mujoco" else data_sheet_task(task), world)
             return {"runs": measure_runs(traces).to_dict("list")}
 

@@ -102,6 +102,9 @@ class StudyConfig:
             raise SurefootError("groups is empty; a study needs 1 group or more")
         for name in (self.name, *self.groups, *self.bars):
             check_name("name", name)
+        labels = [self.label(name) for name in self.groups]
+        if twice := next((label for label in labels if labels.count(label) > 1), None):
+            raise SurefootError(f"groups: two groups have the label '{twice}'; figures and tables name groups by it")
         if not self.seeds or len(set(self.seeds)) < len(self.seeds):
             raise SurefootError(f"seeds is {list(self.seeds)}; it needs 1 or more, all different")
         for name, group in self.groups.items():

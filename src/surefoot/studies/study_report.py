@@ -154,7 +154,7 @@ def _comparisons(comparison: Comparison, table: pd.DataFrame) -> list[str]:
         return ["There are no two groups to compare."]
     metric, label = comparison.primary, comparison.study.label
     rows = table[table.figure == metric.name]
-    count, significant = len(rows), int((rows.p_holm < _LEVEL).sum())
+    count, significant = len(comparison.study.pairs), int((rows.p_holm < _LEVEL).sum())
     lines = [
         f"Primary metric: {metric.heading}. Comparisons that the study's file declares: {count}; with p < {_LEVEL:.2g} "
         f"after Holm's correction for {count}: {significant}.",

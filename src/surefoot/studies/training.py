@@ -60,9 +60,14 @@ class Training:
         return self.path / "policy.onnx"
 
     @property
+    def checkpoint(self) -> Path:
+        """Last checkpoint of the run; a run that a cluster returned has none."""
+        return self.path / "checkpoints" / "latest.ckpt"
+
+    @property
     def state(self) -> State:
         """State of the run, according to its files."""
-        has_checkpoint = (self.path / "checkpoints" / "latest.ckpt").exists()
+        has_checkpoint = self.checkpoint.exists()
         if not self.policy.exists():
             return "started" if has_checkpoint else "new"
         # A run that was resumed by `surefoot train --resume`, and then stopped, also has a policy.
@@ -78,7 +83,8 @@ class Training:
         """Check that the folder is empty or has this run; with `extend`, the run there may have fewer steps.
 
         Raises:
-            SurefootError: the folder has another run; names the first field that differs, and what to do.
+            SurefootError: the folder has another run, named by the first field that differs, or one to extend without a
+                checkpoint; says what to do.
         """
         if self.state == "new":
             return
@@ -92,6 +98,11 @@ class Training:
             raise SurefootError(
                 f"{self.path}: was trained with {name} {was!r}, and the study asks for {now!r}; {more}move the folder "
                 "away to train it again, choose another --out, or change the study back"
+            )
+        if extend and stored.steps < self.config.steps and not self.checkpoint.exists():
+            raise SurefootError(
+                f"{self.path}: has no checkpoint, so that its {stored.steps:,} control steps can't be continued; move the "
+                "folder away to train it again, or change the study back"
             )
 
     def extend(self) -> None:

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from surefoot.errors import SurefootError, describe_os_errors
+from surefoot.files import atomic_write
 from surefoot.learn.run_config import copied_files
 from surefoot.studies.training import Training
 from surefoot.task.plugins import Plugin, register_plugin, registered_plugins
@@ -340,4 +341,5 @@ def _store_files(training: Training, report: ProgressReport) -> None:
         return
     for name in sorted({*report.files, *_RETURNED_FILES}, key=lambda name: (name == _RETURNED_FILES[-1], name)):
         (training.path / name).parent.mkdir(parents=True, exist_ok=True)
-        (training.path / name).write_bytes(report.files[name])
+        with describe_os_errors(training.path / name):
+            atomic_write(training.path / name, report.files[name])

@@ -45,7 +45,7 @@ class StepInfo(Component):
         `time` in the episode (N,) [s]; `reward_terms`, the contributions of reward terms by name (N,); `velocity`
         (N, 3), mean speeds forward and to the left [m/s] and yaw rate [rad/s]; `torque` at the end of the step (N, M)
         [N m]; `fell` (N,). With commands also the filtered `command` and the `tracking_error`, velocity minus command,
-        (N, 3) each.
+        (N, 3) each, as the reward uses them.
         """
         info: dict[str, Any] = {
             "time": state.readings.time.copy(),
@@ -55,7 +55,8 @@ class StepInfo(Component):
             "fell": state.terminated & ~state.truth.diverged,
         }
         if state.gait_state is not None:
-            info["command"] = state.filtered_command.copy()
-            info["tracking_error"] = info["velocity"] - info["command"]
+            # The filter already has the next step's command.
+            info["tracking_error"] = state.command_error.copy()
+            info["command"] = info["velocity"] - info["tracking_error"]
         # By Gymnasium's convention, entries with an underscore mark the robots for which an entry is valid.
         return info | {f"_{name}": np.ones(len(state.over), np.bool_) for name in info}

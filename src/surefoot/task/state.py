@@ -82,7 +82,7 @@ class RobotState:
     gait: HybridGait
     readings: SensorReadings
     duration: Array
-    """Duration of the control step (N,) [s]."""
+    """Nominal duration of the control step (N,) [s]; a step takes a whole number of servo steps, on average this."""
     feedback: Array
     """Feedback of the control step (N, A), see `HybridGait`; zero before the first step."""
     target: Array

@@ -315,7 +315,7 @@ def compute_torque(state: ActuationState, i: int) -> None:
     hot_torque, _, dt = state.constants
     time = state.ticks[i] * dt
     read_at = time - state.servo_latency[i]
-    read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, read_at, 2 * motors, state.servo_sample[i])
+    read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, read_at, 2 * motors, -1, state.servo_sample[i])
     if state.joint[0]:
         compute_joint_torque(state, i)
         return
@@ -366,7 +366,8 @@ def read_delayed(state: ActuationState, latency: Array, out: Array) -> None:
     """Write the samples of `latency` (N,) [s] ago to `out` (N, width)."""
     for i in range(len(latency)):
         at = state.ticks[i] * state.constants[2] - latency[i]
-        read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, at, out.shape[1], out[i])
+        width = out.shape[1]
+        read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, at, width, width - 4, out[i])
 
 
 @njit(cache=True)
@@ -374,7 +375,7 @@ def read_torque(state: ActuationState, latency: Array, out: Array) -> None:
     """Write the motor torques of `latency` (N,) [s] ago to `out` (N, M)."""
     for i in range(len(latency)):
         at = state.ticks[i] * state.constants[2] - latency[i]
-        read_kernel(state.times[i], state.torque_history[i], state.ticks[i] + 1, at, out.shape[1], out[i])
+        read_kernel(state.times[i], state.torque_history[i], state.ticks[i] + 1, at, out.shape[1], -1, out[i])
 
 
 def read_imu(attitude: Array, rates: Array, time: Array, params: PhysicalParams, rows: Any = slice(None)) -> None:

@@ -71,6 +71,10 @@ def build_spec(robot: RobotDescription, config: WorldConfig | None = None) -> mu
                 geom.conaffinity = 2
             else:
                 geom.name = f"{body.name}_shape_{number}"
+    for joint in spec.joints:
+        if joint.type == mujoco.mjtJoint.mjJNT_HINGE:
+            # Friction is the data sheet's, in every engine, whatever the URDF's <dynamics> says.
+            joint.damping, joint.frictionloss = np.zeros_like(joint.damping), 0.0
     rotors = np.broadcast_to(robot.nominal_params()["rotor_inertia"], robot.num_motors)
     for name, inertia in zip(robot.motor_names, rotors, strict=True):
         spec.joint(name).armature = inertia

@@ -17,6 +17,7 @@ socket.onmessage = event => {
   if (message.error) showError(message.error);
   if (message.policies) showOptions(message);
   if (message.report) showReport(message.report);
+  if (message.done && rows[message.done[0]]) rows[message.done[0]].show(message.done[1]);
 };
 // Options of the selects. A policy is [name, label, group].
 function fillPolicies(select, policies, chosen, first) {
@@ -125,7 +126,7 @@ function showReport(now) {
   if (now.time === undefined) return;
   const falls = now.falls || (now.ghost && now.ghost.falls) ? `, falls: ${now.falls}${now.ghost ? ` and ${now.ghost.falls}` : ""}` : "";
   if (now.text === undefined) $("state").textContent = `${now.time.toFixed(1)} s, ${now.velocity[0].toFixed(2)} m/s, ` +
-    `${Math.round(100 * now.share)} % of real time${falls}${now.paused ? ", paused" : ""}`;
+    `${Math.round(100 * now.share * now.speed)} % of real time${falls}${now.paused ? ", paused" : ""}`;
   if (points.length && now.time <= points[points.length - 1].time) return;
   points.push(now); while (points[0].time < now.time - SPAN) points.shift();
   if (document.hidden) return;
@@ -178,10 +179,17 @@ $("stick").onpointermove = event => { if (dragging) drag(event); };
 $("stick").onpointerup = $("stick").onpointercancel = () => { dragging = false; stick = [0, 0]; steer(); };
 const KEYS = { KeyW: 1, KeyS: 1, KeyA: 1, KeyD: 1, KeyQ: 1, KeyE: 1, ArrowUp: 1, ArrowDown: 1, ArrowLeft: 1, ArrowRight: 1 };
 addEventListener("keydown", event => {
-  if (event.code === "Escape") { typed = [0, 0, 0]; document.activeElement.blur(); steer(); }
-  if (!KEYS[event.code] || /INPUT|SELECT/.test(event.target.tagName) && event.target.type !== "checkbox" || event.ctrlKey || event.metaKey) return;
+  if (event.code === "Escape") stand();
+  const { tagName, type } = event.target, isUsed = tagName === "SELECT" || type === "number" || type === "range" && event.code.startsWith("Arrow");
+  if (!KEYS[event.code] || isUsed || event.ctrlKey || event.metaKey) return;
   keys.add(event.code); event.preventDefault(); steer();
 });
+// Numbers are reset first, because a field that loses the focus applies what was typed into it.
+function stand() {
+  NAMES.forEach((_, k) => { $(`c${k}`).value = "0.00"; });
+  document.activeElement.blur();
+  typed = [0, 0, 0]; stick = [0, 0]; dragging = false; keys.clear(); steer();
+}
 addEventListener("keyup", event => { if (keys.delete(event.code)) steer(); });
 addEventListener("blur", () => { keys.clear(); steer(); });
 function inputs() {
@@ -239,7 +247,10 @@ for (const name of ["stop", "damp"]) $(name).onclick = () => {
   if (socket.readyState !== 1) showError("Not sent: the connection has ended. Press Ctrl-C in the terminal of surefoot deploy.");
 };
 $("restart").onclick = () => send({ restart: true });
-$("speed").onchange = event => send({ speed: +event.target.value });
+$("speed").onchange = event => { send({ speed: +event.target.value }); event.target.blur(); };
+$("duration").onchange = event => event.target.blur();
+// The 3D view would take the keys after a click.
+$("view").onload = () => $("view").contentWindow.addEventListener("pointerup", () => $("view").blur());
 for (const name of ["policy", "world", "ghost"]) $(name).onchange = event => { send({ [name]: event.target.value }); event.target.blur(); };
 // Cameras: azimuth relative to the robot's heading, and polar angle from the vertical [rad]. Each tab has its own camera.
 const CAMERAS = { free: null, behind: [0, 1.2], side: [Math.PI / 2, 1.35], front: [Math.PI, 1.25], top: [0, 0.01] };

@@ -41,24 +41,30 @@ _MAX_ERROR = 300
 """Maximum length of the answer to a rejected message."""
 _MAX_TABS = 16
 """Maximum number of open tabs, and of 3D views."""
+_REQUEST_TIMEOUT = 600.0
+"""Maximum duration of a request with its response, such as the download of a video over a slow network [s]."""
 _TYPES = {".html": "text/html; charset=utf-8", ".mp4": "video/mp4"}
 """Content types of downloads, by suffix; other files are `application/octet-stream`."""
 
 
 def machine_addresses(host: str) -> list[str]:
-    """Return the addresses at which other machines reach a server on `host`; for 0.0.0.0 all addresses of this machine.
+    """Return the addresses at which other machines reach a server on `host`; for 0.0.0.0 or :: all addresses of this machine.
 
     Loopback is included only if there is no other address. No packet is sent.
     """
-    if host not in ("0.0.0.0", "::", ""):
+    if host not in ("0.0.0.0", "::"):
         return [host]
+    # Documentation addresses: the route to them selects the interface.
+    family, there, local = (
+        (socket.AF_INET6, "2001:db8::1", "::1") if host == "::" else (socket.AF_INET, "192.0.2.1", "127.0.0.1")
+    )
     addresses: list[str] = []
-    with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.connect(("192.0.2.1", 9))  # a documentation address: the route to it selects the interface
+    with contextlib.suppress(OSError), socket.socket(family, socket.SOCK_DGRAM) as probe:
+        probe.connect((there, 9))
         addresses.append(probe.getsockname()[0])
     with contextlib.suppress(OSError):
-        addresses += [str(entry[4][0]) for entry in socket.getaddrinfo(socket.gethostname(), None, socket.AF_INET)]
-    return [address for address in dict.fromkeys(addresses) if not address.startswith("127.")] or ["127.0.0.1"]
+        addresses += [str(entry[4][0]) for entry in socket.getaddrinfo(socket.gethostname(), None, family)]
+    return [address for address in dict.fromkeys(addresses) if not address.startswith(("127.", "::1"))] or [local]
 
 
 class _Rate:
@@ -99,6 +105,8 @@ class PageServer:
         in_notebook: bool = False,
         messages: type[TabMessage] = DriveMessage,
     ) -> None:
+        if host == "":
+            raise SurefootError("--host is empty; give an address of this machine, or leave it out")
         self._page = (page or document("page.html")).encode()
         self._token = "" if host is None else secrets.token_urlsafe(16)
         self._prefix = f"/{self._token}" if self._token else ""
@@ -142,6 +150,10 @@ class PageServer:
         self._options = options
         self._call(self._send_options)
 
+    def update_options(self, **options: Any) -> None:
+        """Change some of the options for future tabs only."""
+        self._options = {**self._options, **options}
+
     def send(self, **message: Any) -> None:
         """Send a message to all tabs."""
         text = json.dumps(message)
@@ -175,6 +187,7 @@ class PageServer:
                 process_request=self._request,
                 select_subprotocol=lambda _, offered: next((one for one in offered if one.startswith("viser-v")), None),
                 compression=None,
+                open_timeout=_REQUEST_TIMEOUT,
                 max_size=_MAX_MESSAGE_BYTES,
                 max_queue=16,
                 close_timeout=0.5,
