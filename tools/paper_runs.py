@@ -160,8 +160,11 @@ def study(name: str, steps: int, *only: str) -> Stage:
     def make(runs: PaperRuns) -> None:
         small = runs.quick_options("--steps", steps, "--seeds", 0, *(("--only", *only) if only else ()))
         command(runs, "study", runs.root / "studies" / f"{name}.yaml", *runs.workers_options(), *small)
+        # A study some of whose trainings have failed also writes a report.
+        (runs.folder / complete).touch()
 
-    return Stage(f"results/{name}/summary.json", make)
+    complete = f"results/{name}/complete"
+    return Stage(complete, make)
 
 
 def tune(gait: str, speed: float) -> Stage:
@@ -242,7 +245,11 @@ def make_all(runs: PaperRuns) -> bool:
         SurefootError: a command failed; other results are kept.
     """
     with describe_os_errors(runs.folder, "made"):
-        runs.make_folder("")
+        size, own = runs.make_folder("") / "size.txt", "quick" if runs.quick else "full"
+        if not size.exists():
+            size.write_text(own)
+        if (other := size.read_text().strip()) != own:
+            raise SurefootError(f"{runs.folder}: has results of --{other}; give another --out for --{own}")
     for number, stage in enumerate(STAGES, start=1):
         done = (runs.folder / stage.makes).exists()
         runs.console.print(f"{number} of {len(STAGES)}: {stage.makes}{': exists' if done else ''}")

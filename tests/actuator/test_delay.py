@@ -60,7 +60,7 @@ def test_the_readings_of_the_docstrings_table(latency: float, expected: list[flo
     assert seen == expected
 
 
-# Between 3.1 and -3.1 rad are 0.083 rad through pi; a quarter of that is beyond 3.1 by 0.0208, three quarters by 0.0624.
+# Between 3.1 and -3.1 rad are 0.083 rad through pi; a quarter of it is 0.0208, three quarters 0.0624.
 @pytest.mark.parametrize(("at", "expected"), [(0.25, 3.12080), (0.75, -3.12080), (1.25, -3.12080), (1.75, 3.12080)])
 def test_yaw_is_interpolated_through_pi(at: float, expected: float):
     history = History()

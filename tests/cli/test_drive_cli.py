@@ -243,6 +243,9 @@ def test_all_addresses_of_the_machine_are_printed(monkeypatch: pytest.MonkeyPatc
     assert not any(address.startswith(("0.", "127.")) for address in addresses)
     assert machine_addresses("10.0.0.3") == ["10.0.0.3"]
     monkeypatch.undo()
+    assert all(":" in address for address in machine_addresses("::"))
+    with pytest.raises(SurefootError, match="--host is empty"):
+        PageServer("", 0, 1)
     server = PageServer("0.0.0.0", 0, 1)
     try:
         server.print_addresses()
@@ -469,6 +472,51 @@ def test_typed_command_holds_until_the_joystick_is_used_and_applies_to_the_ghost
     page.keyboard.press("s")
     running.until(lambda: running.drive.robot.commanded[0] == 0.0)
     page.wait_for_function("document.getElementById('c0').value === '0.00'")
+
+
+@in_browser
+def test_escape_stands_without_the_number_that_was_being_typed(running: Running, page: Page):
+    page.locator("#c0").fill("0.5")
+    page.keyboard.press("Escape")
+    begin = running.drive.robot.steps
+    running.until(lambda: running.drive.robot.steps > begin + 20)
+    assert all(row.command[0] == 0.0 for row in list(running.drive.robot.rows)[-10:])
+    assert running.drive.robot.commanded.tolist() == [0.0, 0.0, 0.0]
+    assert page.locator("#c0").input_value() == "0.00"
+
+
+@in_browser
+@pytest.mark.parametrize("used", ["#share", "#speed", "#duration"])
+def test_keys_steer_after_other_controls_were_used(running: Running, page: Page, used: str):
+    if used == "#share":
+        page.locator(used).click()
+    else:
+        page.locator(used).focus()
+        page.locator(used).select_option({"#speed": "1", "#duration": "0.3"}[used])
+    page.keyboard.down("w")
+    running.until(lambda: running.drive.robot.commanded[0] > 0.5)
+    page.keyboard.up("w")
+    running.until(lambda: running.drive.robot.commanded[0] == 0.0)
+
+
+@in_browser
+def test_every_tab_shows_the_values_in_the_simulation(running: Running, page: Page, browser: Browser):
+    watching, late = new_page(browser, 300, 300, view=False), new_page(browser, 300, 300, view=False)
+    shown = "Math.abs(document.querySelector('input[type=range][name=contact_friction]')?.value - 0.05) < 1e-3"
+    watching.goto(running.server.address)
+    watching.wait_for_function("document.getElementById('role').textContent.includes('watching')")
+    friction = running.drive.robot.env.world.params.contact_friction
+    before = float(friction.mean())
+    page.evaluate("document.querySelectorAll('details').forEach(one => { one.open = true; })")
+    page.locator("input[type=range][name=contact_friction]").fill("0.05")
+    running.until(lambda: friction.mean() == pytest.approx(0.05, rel=1e-3))
+    watching.wait_for_function(shown)
+    late.goto(running.server.address)
+    late.wait_for_function(shown)
+    page.locator("input[type=range][name=contact_friction]").fill(str(before))
+    running.until(lambda: friction.mean() == pytest.approx(before, rel=1e-3))
+    late.close()
+    watching.close()
 
 
 @in_browser

@@ -187,6 +187,50 @@ def test_page_plays_and_follows_a_click_into_a_plot(page: Page):
 
 
 @in_browser
+def test_keys_play_and_step_after_a_control_was_used(page: Page):
+    page.locator("#time").fill("1")
+    page.locator("#play").focus()
+    page.keyboard.press("ArrowRight")
+    rate = page.evaluate("DATA.rate")
+    assert page.evaluate("now") == pytest.approx(1 + 1 / rate)
+    page.locator("#time").focus()
+    page.keyboard.press("ArrowLeft")
+    page.keyboard.press("ArrowLeft")
+    assert page.evaluate("now") == pytest.approx(1 - 1 / rate)
+    page.keyboard.press("Space")
+    assert page.evaluate("playing")
+    page.locator("#play").focus()
+    page.keyboard.press("Space")
+    assert not page.evaluate("playing")
+
+
+@in_browser
+def test_reduced_curves_keep_peaks_and_phases(page: Page):
+    value = "i => [0, 9, 0, 1, -2, null, null, null, null, 5][i]"
+    assert page.evaluate(f"extremes(0, 9, 3, {value})") == [[0, 0], [1, 9], [3, 1], [4, -2], [6, None], [9, 5]]
+    assert page.evaluate(f"extremes(2, 4, 1, {value})") == [[2, 0], [3, 1], [4, -2]]
+    assert page.evaluate("phases(1, 6, i => [1, 1, 1, 0, 0, 1, 1, 0][i])") == [[1, 1], [2, 1], [4, 0], [6, 1]]
+    assert page.evaluate("phases(4, 3, i => 1)") == []
+
+
+@in_browser
+def test_a_drag_beyond_a_plot_stays_in_its_window(page: Page):
+    page.evaluate("document.getElementById('span').append(new Option('half a second', '0.5'))")
+    page.locator("#span").select_option("0.5")
+    page.locator("#plots canvas").first.scroll_into_view_if_needed()
+    box = page.locator("#plots canvas").first.bounding_box()
+    assert box is not None
+    y = box["y"] + 0.5 * box["height"]
+    page.mouse.move(box["x"] + 0.9 * box["width"], y)
+    page.mouse.down()
+    for beyond in range(5):
+        page.mouse.move(box["x"] + box["width"] + beyond, y)
+    page.mouse.up()
+    assert page.evaluate("now") == pytest.approx(0.5, abs=1e-3)
+    page.locator("#span").select_option("")
+
+
+@in_browser
 def test_plots_show_values_at_the_cursor(page: Page):
     page.locator("#time").fill("1")
     figures = page.locator(".plot").filter(has_text="forward velocity").locator("output span").all_inner_texts()

@@ -31,7 +31,8 @@ def push_kernel(times: Array, samples: Array, count: int, time: float, sample: A
 def read_kernel(times: Array, samples: Array, count: int, time: float, width: int, yaw: int, out: Array) -> None:
     """Write the first `width` entries of one robot's reading at `time` to `out`, after `count` pushes.
 
-    Entry `yaw` is an angle from -pi to pi, which is interpolated along the shorter way; -1 if there is none. Times before the oldest stored sample return the oldest sample; times after the newest return the newest.
+    Entry `yaw` is an angle from -pi to pi, which is interpolated along the shorter way; -1 if there is none.
+    Times before the oldest stored sample return the oldest sample; times after the newest return the newest.
     """
     size = len(times)
     newest = count - 1

@@ -112,8 +112,8 @@ def replaced_note(config: TrainConfig) -> str | None:
         return None
     option = replaced[0].replace("_", "-")
     return (
-        f"ranges replace the given values of {', '.join(replaced)}; --randomize.{option} scale 0.9 1.1 is a range around "
-        f"the given value, and --randomize.{option} none keeps it"
+        f"ranges replace the given values of {', '.join(replaced)}; --randomize.{option} scale 0.9 1.1 is a range "
+        f"around the given value, and --randomize.{option} none keeps it"
     )
 
 

@@ -101,8 +101,8 @@ class Training:
             )
         if extend and stored.steps < self.config.steps and not self.checkpoint.exists():
             raise SurefootError(
-                f"{self.path}: has no checkpoint, so that its {stored.steps:,} control steps can't be continued; move the "
-                "folder away to train it again, or change the study back"
+                f"{self.path}: has no checkpoint, so that its {stored.steps:,} control steps can't be continued; move "
+                "the folder away to train it again, or change the study back"
             )
 
     def extend(self) -> None:

@@ -137,8 +137,8 @@ PARTS: dict[str, ObservationPart] = {
     ),
     OVER_HOLES: ObservationPart("1", "share of the gait over holes", lambda _: [OVER_HOLES], _over_holes),
     "last_action": ObservationPart(
-        "rad; extension of serial legs in lengths of the straight leg",
-        "leg space; motors for actions joint and angle",
+        "rad",
+        "leg space",
         lambda robot: [f"last_{part}.{leg}" for part in robot.coordinates for leg in robot.leg_names],
         lambda m: m.feedback[:, : m.feedback.shape[1] - m.gait.memory],
     ),

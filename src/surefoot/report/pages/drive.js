@@ -249,8 +249,6 @@ for (const name of ["stop", "damp"]) $(name).onclick = () => {
 $("restart").onclick = () => send({ restart: true });
 $("speed").onchange = event => { send({ speed: +event.target.value }); event.target.blur(); };
 $("duration").onchange = event => event.target.blur();
-// The 3D view would take the keys after a click.
-$("view").onload = () => $("view").contentWindow.addEventListener("pointerup", () => $("view").blur());
 for (const name of ["policy", "world", "ghost"]) $(name).onchange = event => { send({ [name]: event.target.value }); event.target.blur(); };
 // Cameras: azimuth relative to the robot's heading, and polar angle from the vertical [rad]. Each tab has its own camera.
 const CAMERAS = { free: null, behind: [0, 1.2], side: [Math.PI / 2, 1.35], front: [Math.PI, 1.25], top: [0, 0.01] };

@@ -44,6 +44,27 @@ function drawLines(id, x, lines, low = 0, high = 0.1) {
   }
   pen.restore();
 }
+// The rows of a curve, [row, value]; of every `apart` rows those with the least and the greatest value.
+function extremes(first, last, apart, value) {
+  const list = [];
+  for (let i = first; i <= last; i += apart) {
+    let low = [i, value(i)], high = low;
+    for (let k = i + 1; k < i + apart && k <= last; ++k) {
+      const now = value(k);
+      if (now === null) continue;
+      if (low[1] === null || now < low[1]) low = [k, now];
+      if (high[1] === null || now > high[1]) high = [k, now];
+    }
+    list.push(...(low[0] === high[0] ? [low] : low[0] < high[0] ? [low, high] : [high, low]));
+  }
+  return list;
+}
+// The first row, and the last row of every phase in which a state stays the same, [row, state].
+function phases(first, last, state) {
+  const list = first <= last ? [[first, state(first)]] : [];
+  for (let i = first + 1; i <= last; ++i) if (i === last || state(i) !== state(i + 1)) list.push([i, state(i)]);
+  return list;
+}
 // Named rows, filled up to each time whose value is true. A name that is too long is abbreviated to its initials.
 function drawSteps(id, x, rows) {
   const [pen, width, height] = clearCanvas(id), tall = height / rows.length;

@@ -48,9 +48,9 @@ _TYPES = {".html": "text/html; charset=utf-8", ".mp4": "video/mp4"}
 
 
 def machine_addresses(host: str) -> list[str]:
-    """Return the addresses at which other machines reach a server on `host`; for 0.0.0.0 or :: all addresses of this machine.
+    """Return the addresses at which other machines reach a server on `host`.
 
-    Loopback is included only if there is no other address. No packet is sent.
+    For 0.0.0.0 and :: these are all of this machine, and loopback only if there is no other. No packet is sent.
     """
     if host not in ("0.0.0.0", "::"):
         return [host]
