@@ -161,10 +161,9 @@ def study(name: str, steps: int, *only: str) -> Stage:
         small = runs.quick_options("--steps", steps, "--seeds", 0, *(("--only", *only) if only else ()))
         command(runs, "study", runs.root / "studies" / f"{name}.yaml", *runs.workers_options(), *small)
         # A study some of whose trainings have failed also writes a report.
-        (runs.folder / complete).touch()
+        (runs.make_folder(f"results/{name}") / "complete").touch()
 
-    complete = f"results/{name}/complete"
-    return Stage(complete, make)
+    return Stage(f"results/{name}/complete", make)
 
 
 def tune(gait: str, speed: float) -> Stage:
@@ -229,6 +228,7 @@ STAGES = (
     ),
     study("robustness", 60_000),
     study("from-scratch", 100_000),
+    study("from-scratch-motors", 100_000, "strong_damped", "weak_light", "improved"),
     tune("trot", 0.6),
     tune("gallop", 1.2),
     *(train(task, 200_000) for task in HYBRIDS),

@@ -111,7 +111,7 @@ def test_every_file_of_the_page_is_made_by_a_run_or_in_the_clone(repository: Pat
     for file in files:
         assert Path(file).parts[:2] in folders, file
     for stage in paper_runs.STAGES:
-        if stage.makes.startswith("results/") and stage.makes.endswith("summary.json"):
+        if stage.makes.startswith("results/") and stage.makes.endswith("complete"):
             assert (repository / "studies" / f"{Path(stage.makes).parent.name}.yaml").exists()
 
 
@@ -172,7 +172,7 @@ def test_all_runs_are_valid_commands(repository: Path, tmp_path: Path, monkeypat
     assert run.call_args.args[0][1:3] == [str(repository / "benchmarks/handcrafted.py"), "results/handcrafted"]
     assert run.call_args.args[0][-4:] == ["--episodes", "5", "--conditions", "mujoco"]
     studies = [words for words in calls if words[0] == "study" and words[1].endswith(".yaml")]
-    assert [Path(words[1]).is_file() for words in studies] == [True] * 3
+    assert [Path(words[1]).is_file() for words in studies] == [True] * 4
     assert studies[0][2:6] == ["--workers", "2", "--steps", "60000"]
     assert " ".join(calls[-1]) == "study search gallop --out results/search --workers 2 --trials 4 --steps 60000"
 
@@ -200,3 +200,6 @@ def test_a_run_without_its_file_is_an_error(repository: Path, shipped: Path, mon
     done = surefoot("study", "paper", "--root", repository, "--quick", "--out", shipped)
     refused_late = "surefoot: error: results/none.json was not made; see the output above\n"
     assert (done.returncode, done.stderr.endswith(refused_late)) == (2, True)
+    done = surefoot("study", "paper", "--root", repository, "--full", "--out", shipped)
+    assert done.returncode == 2
+    assert "has results of --quick; give another --out for --full" in done.stderr
