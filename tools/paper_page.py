@@ -146,9 +146,8 @@ def claims_summary() -> str:
     verdicts = [one.verdict for one in load_content().claims]
     same, mixed, differs, untestable = (verdicts.count(one) for one in ("same", "mixed", "differs", "untestable"))
     return (
-        f"Of {len(verdicts)} claims of the paper, {verdicts.count('reproduced')} are reproduced, {same} have the same "
-        f"direction and are not significant, {mixed} have mixed evidence, {differs} differ, and {untestable} are not "
-        "testable without a robot."
+        f"Of {len(verdicts)} claims of the paper: {verdicts.count('reproduced')} reproduced, {same} in the same direction "
+        f"and not significant, {mixed} with mixed evidence, {differs} different, {untestable} not testable without a robot."
     )
 
 

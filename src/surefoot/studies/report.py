@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -86,7 +87,7 @@ def group_figure(comparison: Comparison, path: str | Path, names: Sequence[str])
             for row, group in enumerate(groups):
                 values = comparison.select_group(group)[metric.name]
                 _group_bar(ax, row, comparison.interval(group, metric), values, f"C{row}")
-            ax.set_title(capitalize_first(metric.heading))
+            ax.set_title(textwrap.fill(capitalize_first(metric.heading), 34))
             ax.set_ylim(len(groups) - 0.4, -0.6)
             place_labels(
                 ax, [comparison.study.label(group) if ax is axes[0] else "" for group in groups], vertical=True
