@@ -146,8 +146,9 @@ def claims_summary() -> str:
     verdicts = [one.verdict for one in load_content().claims]
     same, mixed, differs, untestable = (verdicts.count(one) for one in ("same", "mixed", "differs", "untestable"))
     return (
-        f"Of {len(verdicts)} claims of the paper: {verdicts.count('reproduced')} reproduced, {same} in the same direction "
-        f"and not significant, {mixed} with mixed evidence, {differs} different, {untestable} not testable without a robot."
+        f"Of {len(verdicts)} claims of the paper: {verdicts.count('reproduced')} reproduced, {same} in the same "
+        f"direction and not significant, {mixed} with mixed evidence, {differs} different, {untestable} not testable "
+        "without a robot."
     )
 
 
