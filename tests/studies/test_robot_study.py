@@ -294,6 +294,16 @@ def test_the_report_has_claims_groups_robots_and_figures(tmp_path: Path) -> None
     assert report_from_tables(few, out, "surefoot study few.yaml") == text
 
 
+def test_returns_of_other_rewards_have_no_unit(tmp_path: Path) -> None:
+    few = study(tmp_path, TEXT.replace("num_envs: 8}", "num_envs: 8, task: {reward: {tilt: -1.0}}}"))
+    made = comparison(few)
+    assert made.not_learned["plain"] == "I did not learn: return 2.70 in the training simulator, below 3"
+    groups = robot_tables(made, [])["groups"].set_index(["group", "motors", "figure"])
+    assert [groups.unit["whole", "all", name] for name in ("home", "on_robot", "gap", "falls")] == ["", "", "", "%"]
+    (tmp_path / "out").mkdir()
+    assert "(m)" not in write_robot_report(made, [], tmp_path / "out", "command").read_text()
+
+
 def test_groups_may_have_names_like_numbers_or_missing_values(tmp_path: Path) -> None:
     names = {"plain": "1", "whole": "NA", "sheet": "nan"}
     text = TEXT

@@ -31,9 +31,8 @@ from surefoot.evaluation.statistics import (
 )
 from surefoot.files import atomic_write
 from surefoot.report.figures.learning import bin_curve, learning_curve
-from surefoot.robot import RobotDescription
 from surefoot.studies.evaluations import EVALUATIONS, Result, ResultMetric, evaluation_names, find_gap, gap_from_result
-from surefoot.studies.study_config import OTHERS, StudyConfig, group_config
+from surefoot.studies.study_config import OTHERS, StudyConfig, return_unit
 from surefoot.tables import plain_rows, write_csv
 
 FAR_DISTANCE = 3.0
@@ -98,8 +97,7 @@ class Comparison:
     @cached_property
     def return_unit(self) -> str:
         """Unit of returns: m, or empty if a group's reward has terms of other units."""
-        tasks = [group_config(self.study, group).task for group in self.study.groups]
-        return min(task.return_unit(RobotDescription.load(task.robot)) for task in tasks)
+        return return_unit(self.study)
 
     @property
     def metrics(self) -> tuple[ResultMetric, ...]:

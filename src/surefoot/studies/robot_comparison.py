@@ -21,7 +21,7 @@ from surefoot.studies.evaluations import Result
 from surefoot.studies.hidden_robots import OTHER_MOTORS, robot_name
 from surefoot.studies.questions import METRICS, Answer, Values, answer
 from surefoot.studies.robot_runs import HOME
-from surefoot.studies.study_config import StudyConfig
+from surefoot.studies.study_config import StudyConfig, return_unit
 from surefoot.studies.training import Training
 
 CONTENTS = {
@@ -104,6 +104,12 @@ class RobotComparison:
         """Names of the groups with runs, in the study's order."""
         return [group for group in self.study.groups if group in set(self.episodes.group)]
 
+    @cached_property
+    def metrics(self) -> dict[str, tuple[str, str, int]]:
+        """`METRICS` with the unit of the study's returns."""
+        unit = return_unit(self.study)
+        return {name: (title, unit if own == "m" else own, digits) for name, (title, own, digits) in METRICS.items()}
+
     @property
     def families(self) -> list[str]:
         """Motor families for which results are reported: all, and each family if there are several."""
@@ -139,11 +145,11 @@ class RobotComparison:
     @property
     def not_learned(self) -> dict[str, str]:
         """Groups with too low a mean return in the training simulator for a reality gap, with the reason."""
-        minimum = self.study.least_home_return
+        minimum, unit = self.study.least_home_return, f" {self.metrics['home'][1]}".rstrip()
         means = {group: self.interval(group, "home").mean for group in self.groups}
         return {
-            group: f"{self.study.label(group)} did not learn: return {mean:.2f} m in the training simulator, below "
-            f"{minimum:g} m"
+            group: f"{self.study.label(group)} did not learn: return {mean:.2f}{unit} in the training simulator, below "
+            f"{minimum:g}{unit}"
             for group, mean in means.items()
             if mean < minimum
         }
@@ -264,7 +270,7 @@ def robot_tables(comparison: RobotComparison, parameters: Sequence[dict[str, Any
         | {"robots": int((comparison.select_family(family).group == group).sum()), **interval.columns("mean")}
         for family in comparison.families
         for group in comparison.groups
-        for metric, (_, unit, _) in METRICS.items()
+        for metric, (_, unit, _) in comparison.metrics.items()
         for interval in [comparison.interval(group, metric, family)]
     ]
     questions = [

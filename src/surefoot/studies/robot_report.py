@@ -14,7 +14,7 @@ from surefoot.files import atomic_write
 from surefoot.report.figures.robots import GroupOnRobots, robots_figure
 from surefoot.report.figures.style import capitalize_first
 from surefoot.studies.hidden_robots import DATA_SHEET_MOTORS, OTHER_MOTORS, robot_name
-from surefoot.studies.questions import LEVEL, METRICS, NO_RESULTS, Answer, ComparedPair
+from surefoot.studies.questions import LEVEL, NO_RESULTS, Answer, ComparedPair
 from surefoot.studies.report import image, p_text, read_tables, readme
 from surefoot.studies.robot_comparison import ALL, CONTENTS, RobotComparison, robot_tables
 from surefoot.studies.study_config import StudyConfig
@@ -127,7 +127,9 @@ def _draw(comparison: RobotComparison, family: str, path: Path) -> None:
         for group, part in rows.groupby("group", sort=False)
     ]
     marked = other.label if other is not None and family == ALL else ""
-    robots_figure(groups, path, marked, f"Return of an episode (m), {_family_label(comparison, family)}")
+    unit = comparison.metrics["gap"][1]
+    title = f"{with_unit('Return of an episode', unit)}, {_family_label(comparison, family)}"
+    robots_figure(groups, path, marked, title, unit)
 
 
 def _claims(comparison: RobotComparison) -> list[str]:
@@ -155,7 +157,7 @@ def _open_questions(comparison: RobotComparison) -> list[str]:
 
 def _answer(comparison: RobotComparison, one: Answer) -> list[str]:
     """Return the comparisons of a question as a sentence and a table."""
-    title, unit, digits = METRICS[one.question.figure]
+    title, unit, digits = comparison.metrics[one.question.figure]
     if all(pair.left_out == NO_RESULTS for pair in one.comparisons):
         return [f"{capitalize_first(one.question.text)}: no results yet."]
 
@@ -179,7 +181,7 @@ def _results(comparison: RobotComparison, family: str) -> list[str]:
         part = rows[rows.group == group]
         if len(part):
             cells = {"group": comparison.study.label(group), "robots": str(len(part)), "runs": str(part.runs.sum())}
-            for metric, (title, unit, digits) in METRICS.items():
+            for metric, (title, unit, digits) in comparison.metrics.items():
                 cells[with_unit(title, unit)] = comparison.interval(group, metric, family).text(digits)
             table.append(cells)
     return [
@@ -199,7 +201,7 @@ def _every_robot(comparison: RobotComparison) -> list[str]:
                 | {"motors": _motors(comparison, row["motors"]), "seeds": row["seeds"]}
                 | {
                     with_unit(title, unit): decimal(row[name], digits)
-                    for name, (title, unit, digits) in METRICS.items()
+                    for name, (title, unit, digits) in comparison.metrics.items()
                 }
                 for row in rows
             ]

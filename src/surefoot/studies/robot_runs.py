@@ -47,8 +47,8 @@ def robot_kind(robots: HiddenRobots, seeds: Sequence[int], folder: Path) -> Eval
         run,
         _read,
         (
-            ResultMetric("home", "return in training simulator", "m", 2),
-            ResultMetric("on_robot", "return on the robot", "m", 2),
+            ResultMetric("home", "return in training simulator", "m", 2, is_return=True),
+            ResultMetric("on_robot", "return on the robot", "m", 2, is_return=True),
             ResultMetric("falls", "falls on the robot", "%", 0),
         ),
     )

@@ -289,6 +289,12 @@ def group_config(study: StudyConfig, group: str, identified: ParamsFile | None =
     return replace(config, task=replace(config.task, params=params, params_source=identified.source))
 
 
+def return_unit(study: StudyConfig) -> str:
+    """Return the unit of a study's returns: m, or empty if a group's reward has terms of other units."""
+    tasks = [group_config(study, group).task for group in study.groups]
+    return min(task.return_unit(RobotDescription.load(task.robot)) for task in tasks)
+
+
 def study_runs(
     study: StudyConfig, root: Path, only: tuple[str, ...] = (), robots: Path | None = None
 ) -> list[Training]:

@@ -11,7 +11,7 @@ from rich.console import Console
 from surefoot.cli.helpers.options import make_figures_folder
 from surefoot.errors import SurefootError, suggest
 from surefoot.studies.hidden_robots import other_motors_folder, read_identified, robot_name
-from surefoot.studies.study_config import StudyConfig, study_runs
+from surefoot.studies.study_config import StudyConfig, return_unit, study_runs
 from surefoot.studies.training import Training
 from surefoot.world.registry import check_takes_params, find_world
 
@@ -68,13 +68,15 @@ def evaluate_runs(study: StudyConfig, runs: list[Training], root: Path, threads:
         for name, kind in evaluation_kinds(study, run, root).items()
         if stored_result(run.policy, name, kind) is None
     ]
+    returns = return_unit(study)
     with worker_pool():
         for number, (run, name, kind) in enumerate(todo, start=1):
             start = time.perf_counter()
             with console.status(f"evaluating {run.name}: {name} ({number} of {len(todo)})"):
                 values = kind.read_metrics(evaluate(run.policy, name, threads, kind))
             metrics = ", ".join(
-                f"{one.title} {decimal(values[one.name], one.digits)} {one.unit}" for one in kind.metrics
+                f"{one.title} {decimal(values[one.name], one.digits)} {returns if one.is_return else one.unit}".rstrip()
+                for one in kind.metrics
             )
             seconds = time.perf_counter() - start
             console.print(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from surefoot.arrays import Array
 from surefoot.evaluation.statistics import CONFIDENCE, Interval
 from surefoot.report.figures.style import BLUE, INK, ORANGE, QUIET, new_figure, place_labels, spread_dots
+from surefoot.tables import with_unit
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +41,9 @@ class GroupOnRobots:
     """Whether each robot is drawn as a cross (R,)."""
 
 
-def robots_figure(groups: Sequence[GroupOnRobots], path: str | Path, marked: str = "", title: str = "") -> Path:
+def robots_figure(
+    groups: Sequence[GroupOnRobots], path: str | Path, marked: str = "", title: str = "", unit: str = "m"
+) -> Path:
     """Draw the returns of groups in simulation and on robots, as bars with intervals over robots and one dot per robot.
 
     A line connects the two returns of a robot. The label of a group contains its mean gap; the fraction of falls is
@@ -51,18 +54,19 @@ def robots_figure(groups: Sequence[GroupOnRobots], path: str | Path, marked: str
         path: file to write (.png).
         marked: meaning of crosses, for the legend; if empty, no robot is drawn as a cross.
         title: title of the figure.
+        unit: unit of returns.
     """
     with new_figure(path, (max(5.2, 1.4 + 1.35 * len(groups)), 4.2)) as (_, (ax,)):
         for place, group in enumerate(groups):
             _group(ax, place, group, bool(marked))
         ax.axhline(0.0, color=QUIET, linewidth=0.8)
         gaps = [float(np.mean(group.home - group.on_robot)) for group in groups]
-        labels = [f"{group.label}\ngap {gap:+.2f} m" for group, gap in zip(groups, gaps, strict=True)]
+        labels = [f"{group.label}\ngap {gap:+.2f} {unit}".rstrip() for group, gap in zip(groups, gaps, strict=True)]
         place_labels(ax, [label.replace(", ", ",\n") for label in labels])
         ax.set_xlim(-0.5, len(groups) - 0.5)
         ax.margins(y=0.12)
         ax.set_ylim(bottom=min(0.0, ax.get_ylim()[0]))
-        ax.set_title(title or "Return of an episode (m)", fontweight="bold", pad=24.0)
+        ax.set_title(title or with_unit("Return of an episode", unit), fontweight="bold", pad=24.0)
         legend = f"bars: mean and {CONFIDENCE:.0%} interval; dots: robots"
         ax.set_xlabel(legend + (f"; crosses: {marked}" if marked else ""), color=QUIET, fontsize=8.0, labelpad=6.0)
         for color, name in ((BLUE, "in simulation"), (ORANGE, "on the robot")):
