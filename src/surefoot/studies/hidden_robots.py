@@ -108,7 +108,7 @@ class HiddenRobots:
             SurefootError: their physics depend on other settings, or the file with these settings can't be read.
         """
         path = folder / _SETTINGS
-        if not any(folder.glob(robot_file(folder, "*").name)):
+        if not any(folder.glob("robot_*.toml")):
             return
         stored, own = read_yaml(path), self.settings()
         if different := [f"robots.{name}" for name in own if stored.get(name) != own[name]]:
