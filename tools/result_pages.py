@@ -37,7 +37,7 @@ from surefoot.files import atomic_write
 
 ROOT = Path(__file__).resolve().parents[1]
 TEMPLATES = ("results/*/README.template", "policies/README.template")
-REPORTS = ("from-scratch", "identified", "reality-gap", "robustness", "search")
+REPORTS = ("from-scratch", "from-scratch-motors", "identified", "reality-gap", "robustness", "search")
 """Folders of studies and of a search in results/; a study's file is studies/NAME.yaml."""
 TABLE = re.compile(r"^:::table +(?P<items>[^\n]+)\n(?P<rows>.+?)^:::\n", re.DOTALL | re.MULTILINE)
 CONTINUED = re.compile(r"\\\n *")
