@@ -107,9 +107,9 @@ class HiddenRobots:
         Raises:
             SurefootError: their physics depend on other settings, or the file with these settings can't be read.
         """
-        path = folder / _SETTINGS
         if not any(folder.glob("robot_*.toml")):
             return
+        path = folder / _SETTINGS
         stored, own = read_yaml(path), self.settings()
         if different := [f"robots.{name}" for name in own if stored.get(name) != own[name]]:
             raise SurefootError(

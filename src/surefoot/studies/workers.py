@@ -341,5 +341,5 @@ def _store_files(training: Training, report: ProgressReport) -> None:
         return
     for name in sorted({*report.files, *_RETURNED_FILES}, key=lambda name: (name == _RETURNED_FILES[-1], name)):
         (training.path / name).parent.mkdir(parents=True, exist_ok=True)
-        with describe_os_errors(training.path / name):
+        with describe_os_errors(training.path / name, "written"):
             atomic_write(training.path / name, report.files[name])

@@ -366,7 +366,7 @@ def read_delayed(state: ActuationState, latency: Array, out: Array) -> None:
     """Write the samples of `latency` (N,) [s] ago to `out` (N, width)."""
     for i in range(len(latency)):
         at = state.ticks[i] * state.constants[2] - latency[i]
-        width = out.shape[1]
+        width = out.shape[1]  # the last six: roll, pitch, yaw and angular velocity
         read_kernel(state.times[i], state.history[i], state.ticks[i] + 1, at, width, width - 4, out[i])
 
 
