@@ -98,10 +98,13 @@ def test_commands_of_a_condition_replace_those_of_the_task(tmp_path: Path):
     assert (len(scheduled.commands.schedule), scheduled.commands.each) == (1, ())
 
 
-def test_the_undisturbed_task_has_no_randomization_and_no_pushes():
+def test_the_undisturbed_task_has_no_randomization_pushes_and_curricula():
     home = undisturbed_task(TASK)
     assert (home.randomize, home.pushes) == ({}, replace(TASK.pushes, enabled=False))
-    assert replace(home, randomize=TASK.randomize, pushes=TASK.pushes) == TASK
+    assert (TASK.randomize_ramp, TASK.commands.ramp) != (0, 0)
+    assert (home.randomize_ramp, home.commands.ramp) == (0, 0)
+    own = {name: getattr(TASK, name) for name in ("randomize", "pushes", "randomize_ramp", "commands")}
+    assert replace(home, **own) == TASK
 
 
 def test_the_data_sheet_task_has_the_robot_of_the_data_sheet():
