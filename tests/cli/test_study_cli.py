@@ -129,8 +129,8 @@ def check_results(out: Path) -> None:
         assert float(row["sensitivity_std"]) > 0
     summary = json.loads((out / "summary.json").read_text())
     assert summary["missing"] == ["broken seed 0"]
-    # A single seed gives no confidence interval of a mean, but one of a fraction.
-    assert all((row["low"] is None) == (row["unit"] != "%") for row in summary["groups"])
+    # A single seed gives no confidence interval.
+    assert all(row["low"] is None for row in summary["groups"])
     report = (out / "README.md").read_text()
     assert "surefoot study run tiny.yaml --workers 1" in report
     assert "| 4-D, randomized | 4-D |" in report
