@@ -106,7 +106,7 @@ def start_note(config: TrainConfig) -> str | None:
 def replaced_note(config: TrainConfig) -> str | None:
     """Return a note on given physical parameters, such as identified ones, that absolute ranges replace, or None."""
     ranges, params = config.task.randomize, config.task.params
-    given = set(params) - set(CONTROLLER_PARAMETERS)  # control step and gains are the task's own
+    given = set(params) - set(CONTROLLER_PARAMETERS)  # the task sets control step and gains
     replaced = [name for name, one in ranges.items() if name in given and not isinstance(one, RelativeRange)]
     if not replaced:
         return None

@@ -84,7 +84,8 @@ class Interval:
 
     def scale(self, factor: float) -> Interval:
         """Return the interval multiplied by a positive factor."""
-        return Interval(self.mean * factor, self.low * factor, self.high * factor, self.p)
+        values = tuple(factor * value for value in self.values)
+        return Interval(self.mean * factor, self.low * factor, self.high * factor, self.p, values)
 
 
 def t_interval(values: ArrayLike, confidence: float = CONFIDENCE) -> Interval:
@@ -154,6 +155,17 @@ def proportion_interval(proportions: ArrayLike, trials: int) -> Interval:
     hits, misses, tail = proportion * count, (1 - proportion) * count, (1 - CONFIDENCE) / 2
     low = float(betaincinv(hits, misses + 1, tail)) if hits > 0 else 0.0
     return Interval(proportion, low, float(betaincinv(hits + 1, misses, 1 - tail)) if misses > 0 else 1.0)
+
+
+def policies_proportion(proportions: ArrayLike, trials: int) -> Interval:
+    """Return `proportion_interval` over trained policies; no interval for fewer than `MIN_SAMPLES`.
+
+    The spread between one or two policies can't be estimated, and episodes of one policy are not independent.
+    """
+    table = np.asarray(proportions, np.float64)
+    if len(table) >= MIN_SAMPLES:
+        return proportion_interval(table, trials)
+    return crossed_interval(table) if table.ndim == 2 else t_interval(table)
 
 
 def proportion_difference(proportion: Interval, base: Interval) -> Interval:

@@ -19,14 +19,13 @@ from surefoot.evaluation.runs import summarize_runs
 from surefoot.evaluation.sensitivity import Sensitivity
 from surefoot.evaluation.statistics import (
     CONFIDENCE,
-    MIN_SAMPLES,
     Interval,
     MeanEstimate,
     crossed_interval,
     difference_interval,
     holm,
+    policies_proportion,
     proportion_difference,
-    proportion_interval,
     t_interval,
 )
 from surefoot.files import atomic_write
@@ -134,18 +133,16 @@ class Comparison:
     def interval(self, group: str, metric: ResultMetric) -> Interval:
         """Return the mean of a metric over a group, with its interval over seeds and, if it has several, robots."""
         values, trials = self._values(group, metric), self._trials(group, metric)
-        # Episodes of one or two policies are not independent trials: without an interval over policies there is none.
-        if trials and len(values) >= MIN_SAMPLES:
+        if trials:
             full = metric.full_scale(trials)
-            return proportion_interval(values / full, trials).scale(full)
+            return policies_proportion(values / full, trials).scale(full)
         return crossed_interval(values) if values.ndim == 2 else t_interval(values)
 
     def difference(self, group: str, base: str, metric: ResultMetric) -> Interval:
         """Return the difference of a metric's means, `group` minus `base`, with its interval."""
-        values = self._values(group, metric), self._values(base, metric)
-        if self._trials(group, metric) and min(map(len, values)) >= MIN_SAMPLES:
+        if self._trials(group, metric):
             return proportion_difference(self.interval(group, metric), self.interval(base, metric))
-        return difference_interval(values)
+        return difference_interval((self._values(group, metric), self._values(base, metric)))
 
     def effect(self, name: str, metric: ResultMetric) -> Interval | None:
         """Return a main effect of the study on a metric that is a mean; None for a metric that is a percentage."""
@@ -313,8 +310,7 @@ def _gap_rows(which: str, group: str, comparison: Comparison) -> list[dict[str, 
         runs, balanced = gap.in_world(world), gap.table(world, "balanced")
         row = {"group": group, "label": gap.name, "policies": which, "seeds": seeds, **summarize_runs(runs)}
         row |= crossed_interval(gap.table(world, "return")).columns("return")
-        share = proportion_interval(balanced, balanced.shape[1])
-        row |= (share if len(balanced) >= MIN_SAMPLES else Interval(share.mean)).columns("balanced_share")
+        row |= policies_proportion(balanced, balanced.shape[1]).columns("balanced_share")
         row |= {"balanced": int(balanced.sum()), "far": int((runs.distance > FAR_DISTANCE).sum())}
         row |= {"least_distance": float(runs.distance.min())}
         over_runs = gap.gap_over_runs(world) if number else MeanEstimate()

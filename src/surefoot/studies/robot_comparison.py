@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from surefoot.arrays import Array
-from surefoot.evaluation.statistics import MIN_SAMPLES, Interval, crossed_interval, proportion_interval, t_interval
+from surefoot.evaluation.statistics import Interval, crossed_interval, policies_proportion, t_interval
 from surefoot.robot import PhysicalParams, RobotDescription
 from surefoot.robot.params import PARAMETERS
 from surefoot.robot.params_file import ParamsFile
@@ -129,10 +129,8 @@ class RobotComparison:
             trials = int(own.runs.sum()) // max(len(table), 1)
             if metric == "home_falls":  # The same runs for all robots.
                 table, trials = table[:, 0], trials // table.shape[1]
-            if is_fraction and len(table) >= MIN_SAMPLES:
-                return _percent_interval(table, trials)
-            return crossed_interval(table) if table.ndim == 2 else t_interval(table)
-        if is_fraction and len(own) >= MIN_SAMPLES:
+            return _percent_interval(table, trials) if is_fraction else crossed_interval(table)
+        if is_fraction and len(own):
             return _percent_interval(own[metric].to_numpy(), round(float(own.runs.mean())))
         return t_interval(own[metric])
 
@@ -185,7 +183,7 @@ def _percent_interval(percentages: Array, trials: int) -> Interval:
         percentages: percentages of runs.
         trials: number of runs on each robot, or of each policy.
     """
-    return proportion_interval(percentages / 100, trials).scale(100)
+    return policies_proportion(percentages / 100, trials).scale(100)
 
 
 def _metrics(home: pd.DataFrame, on_robot: pd.DataFrame) -> dict[str, float]:
