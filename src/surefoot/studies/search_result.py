@@ -15,7 +15,7 @@ import pandas as pd
 
 from surefoot.configuration import to_mapping
 from surefoot.errors import SurefootError
-from surefoot.evaluation.conditions import data_sheet_task
+from surefoot.evaluation.conditions import data_sheet_task, undisturbed_task
 from surefoot.evaluation.runs import measure_runs
 from surefoot.evaluation.statistics import Interval, t_interval
 from surefoot.learn.evaluation import evaluation_task
@@ -138,14 +138,8 @@ def _fresh_runs(search: Search, path: Path) -> pd.DataFrame:
 
         def compute() -> Result:
             run = EvaluationRun.load(path, settings)
-            task = replace(
-                run.task,
-                reward=compared.reward,
-                terrain=compared.terrain,
-                randomize_ramp=0,
-                commands=replace(run.task.commands, ramp=0),
-                pushes=replace(run.task.pushes, enabled=False),
-            )
+            calm, ranges = undisturbed_task(run.task), run.task.randomize
+            task = replace(calm, randomize=ranges, reward=compared.reward, terrain=compared.terrain)
             traces = run.run(task if world == "mujoco" else data_sheet_task(task), world)
             return {"runs": measure_runs(traces).to_dict("list")}
 
