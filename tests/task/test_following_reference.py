@@ -74,7 +74,9 @@ def test_turning_moves_left_and_right_feet_in_opposite_directions() -> None:
     x = aside.robot.leg_mounts[:, 0]
     command = np.array([[0.0, 0.0, 0.5]])
     stride = aside.strides(command)[0]
-    assert stride[:, 1] == pytest.approx(0.5 * x * aside.choice.stride_gain * 0.6 / aside.frequency(command)[0])
+    assert stride[:, 1] == pytest.approx(
+        0.5 * x * aside.choice.stride_gain * aside.feet.duty_factor / aside.frequency(command)[0]
+    )
 
 
 @pytest.mark.parametrize("name", ROBOTS)
@@ -105,7 +107,7 @@ def test_clearance_and_height_follow_the_command() -> None:
 
 
 def test_weight_feedforward_compensates_deflection() -> None:
-    gait, plain = changed("go2", {"servo_kp": 30.0}, weight_feedforward=1.0), changed("go2", {"servo_kp": 30.0})
+    gait, plain = (changed("go2", {"servo_kp": 30.0}, weight_feedforward=gain) for gain in (1.0, 0.0))
     robot, kp = gait.robot, 30.0
     index, feedback = robot.leg_motor_index, np.zeros((1, 12))
     for activity, phase, carrying in ((0.0, 0.0, (0.25,) * 4), (1.0, 0.3, (0.0, 0.5, 0.5, 0.0))):

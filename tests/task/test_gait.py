@@ -140,7 +140,8 @@ def test_velocity_feedforward_compensates_the_lag_of_damping(task: str):
     command, worst = np.tile([0.5, 0.0, 0.0], (len(time), 1)), {}
     for lead in (0.0, 1.0):  # in k_d / k_p
         config = load_task(task, "go2")[0]
-        gait = replace(config, reference=replace(config.reference, velocity_feedforward=lead)).gait(go2)
+        leads = {"velocity_feedforward": lead} | ({"weight_feedforward": 0.0} if task == "steer" else {})
+        gait = replace(config, reference=replace(config.reference, **leads)).gait(go2)
         frequency = gait.reference.frequency(command) if task == "steer" else 0.0
         state = CommandState(command, np.ones(len(time)), frequency * time)
         targets = gait.motor_targets(time, np.zeros((len(time), 12)), state)

@@ -104,7 +104,7 @@ def test_the_curriculum_and_the_success_rate_use_the_same_distances(env):
     rng = np.random.default_rng(1)
     for _ in range(60):
         start, seen = env.state.readings.time, env._observation()
-        env.step(0.2 * rng.uniform(-1, 1, (4, env.single_action_space.shape[0])))
+        env.step(0.1 * rng.uniform(-1, 1, (4, env.single_action_space.shape[0])))
         recorder.record(start, seen)
     for i in range(4):
         trace = recorder.trace(i, 60, {"world": "mujoco", "policy": "", "seed": 5, "episode": i, "ended": "time"})
