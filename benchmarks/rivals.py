@@ -445,7 +445,7 @@ def draw(runs: Mapping[str, Mapping[int, Run]], path: Path, idle: bool) -> None:
             ax.set_yticks(errors := [0.05, 0.1, 0.2, 0.3, 0.5, 1.0], [f"{tick:g}" for tick in errors])
             ax.minorticks_off()
         axes[0].axhline(LIMITS[-1], color=QUIET, linewidth=0.8, linestyle="--")
-        axes[0].legend(loc="lower left")
+        axes[0].legend(loc="upper right")
 
 
 def write_learning(folder: Path, rows: Sequence[dict[str, Any]], idle: bool) -> list[dict[str, Any]]:

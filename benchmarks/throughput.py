@@ -9,6 +9,7 @@
     unequal the same with control steps of 3 to 20 ms in one batch, counted in physics steps
     train   complete PPO updates, including learning
     train+  the same with all of table I randomized
+    train 1, train N    with --threads N: updates with one thread and with all, in turns
     authors one process per core of the paper authors' PyBullet environment, if `pybullet` is installed
 
 Bare, world and env take turns of one control step of all robots, some milliseconds each, so that other load on the
@@ -168,7 +169,8 @@ class Bench:
         config = replace(config, threads=self.threads, learning_threads=self.threads)
         self.learner = PpoLearner(config, SimWorld)
         self.drawn_learner = PpoLearner(replace(config, task=replace(config.task, randomize=table1)), SimWorld)
-        for learner in (self.learner, self.drawn_learner):
+        self.single_learner = PpoLearner(replace(config, threads=1, learning_threads=1), SimWorld)
+        for learner in (self.learner, self.drawn_learner, self.single_learner):
             learner.update()
 
     def _env(self, task: TaskConfig, ranges: Ranges) -> LocomotionEnv:
@@ -316,6 +318,10 @@ class Bench:
         """One PPO update with all of table I randomized."""
         return self._train(self.drawn_learner)
 
+    def train_single(self) -> tuple[int, float]:
+        """One PPO update with one thread."""
+        return self._train(self.single_learner)
+
     def _train(self, learner: PpoLearner) -> tuple[int, float]:
         world = learner.env.world
         start = self.clock()
@@ -363,6 +369,9 @@ def main() -> int:
             ({"bare": bench.whole_bare, "train": bench.train}, 3 * options.rounds, "bare"),
             ({"train": bench.train, "train+": bench.train_drawn}, 3 * options.rounds, "train"),
         ]
+        if options.threads > 1:
+            several = f"train {options.threads}"
+            groups.append(({"train 1": bench.train_single, several: bench.train}, 3 * options.rounds, "train 1"))
     result: dict[str, Any] = {}
     lines, rows = [], []
     for layers, turns, base in groups:
