@@ -494,6 +494,9 @@ REJECTED_COMMANDS = [
             "go2-steer --link can": "--link is 'can'",
             "go2-steer --port x --release": "--release is given; it requires --link dds",
             "go2-steer --port x --interface lo": "--interface is given; it requires --link dds",
+            f"go2-steer {DDS} --dry-run --release": "--dry-run and --release can't be combined:",
+            f"go2-steer {DDS} --dry-run --hand-back": "--dry-run and --hand-back can't be combined: a dry run sends",
+            "go2-steer --port /dev/nothing --commands keyboard": "commands: keyboard needs a terminal",
         },
     ),
     *rejected(

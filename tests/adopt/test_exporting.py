@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import yaml
+from third_party_policies import DATA, LAB_ORDER, perceptron
 
 from surefoot.adopt.adoption import adopt
 from surefoot.adopt.exporting import EXPORTERS
@@ -28,6 +30,34 @@ def test_an_exported_and_readopted_policy_gives_the_same_angles(
     theirs, again_feedback, _ = run_controller(again, some)
     np.testing.assert_allclose(theirs, mine, atol=1e-4)
     np.testing.assert_allclose(again_feedback[:, 12:], feedback[:, 12:], atol=1e-3)
+
+
+def test_files_for_rl_sar_have_the_orders_of_hardware_and_policy(go2, tmp_path):
+    (config,) = yaml.safe_load((DATA / "robot_lab" / "config.yaml").read_text()).values()
+    pose = dict(zip(go2.motor_names, [0.1, 0.8, -1.5, -0.1, 0.8, -1.5, 0.1, 1.0, -1.5, -0.1, 1.0, -1.5], strict=True))
+    config |= {"joint_mapping": LAB_ORDER, "default_dof_pos": [pose[go2.motor_names[motor]] for motor in LAB_ORDER]}
+    folder = tmp_path / "given" / "isaac"
+    folder.mkdir(parents=True)
+    (folder / "config.yaml").write_text(yaml.safe_dump({"go2/isaac": config}))
+    (folder.parent / "base.yaml").write_text((DATA / "base.yaml").read_text())
+    (folder / "policy.onnx").write_bytes(perceptron(45))
+    path = tmp_path / "isaac.onnx"
+    path.write_bytes(adopt(folder / "policy.onnx", "rl_sar", go2, "isaac").data)
+
+    EXPORTERS["rl_sar"](PolicyRuntime.load(path), path.read_bytes(), go2, tmp_path / "isaac")
+    config, base = (
+        next(iter(yaml.safe_load((tmp_path / "isaac" / f"{name}.yaml").read_text()).values()))
+        for name in ("config", "base")
+    )
+    limit = dict(zip(go2.motor_names, np.broadcast_to(go2.actuator.torque_limit, 12).tolist(), strict=True))
+    assert len(set(limit.values())) == 2
+    assert config["joint_mapping"] == LAB_ORDER
+    for table in (config, base):
+        names = [go2.motor_names[motor] for motor in table["joint_mapping"]]
+        assert dict(zip(names, table["default_dof_pos"], strict=True)) == pytest.approx(pose)
+        assert dict(zip(names, table["torque_limits"], strict=True)) == limit
+    assert base["joint_names"] == list(go2.motor_names)
+    assert base["joint_mapping"] == list(range(12))
 
 
 @pytest.mark.parametrize(

@@ -184,6 +184,11 @@ def test_a_range_without_zero_is_rejected_unless_overridden(take):
     specification = take("legged_gym", GYM + ranges, forward=(0.0, 0.8))
     assert specification.forward == (0.0, 0.8)
     assert specification.notes["stand"] == "trained at forward 0.3 to 0.8 m/s: standing was never trained"
+    table = MANUAL | {"forward": [0.3, 0.8]}
+    assert "give --forward 0 0.8 if the policy can stand" in rejection(take, "manual", table)
+    specification = take("manual", table, forward=(0.0, 0.8))
+    assert specification.forward == (0.0, 0.8)
+    assert specification.notes["stand"] == "trained at forward 0.3 to 0.8 m/s: standing was never trained"
     message = rejection(take, "legged_gym", GYM, forward=(0.4, 1.0))
     assert message.startswith("--forward is 0.4 to 1; it must go from 0 or less to 0 or more")
 

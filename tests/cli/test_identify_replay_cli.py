@@ -1,4 +1,4 @@
-"""`surefoot identify replay` and `surefoot identify import` on the logs of a real robot."""
+"""`surefoot identify replay`, `import` and `--trace` on the logs of a real robot."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ import pytest
 pytest.importorskip("mujoco")
 
 from surefoot.cli.main import main
+from surefoot.robot import RobotDescription
+from surefoot.robot.params_file import read_params
 from surefoot.task.trace import EpisodeTrace
 
 DATA = Path(__file__).parents[2] / "data" / "pupper_v2"
@@ -93,3 +95,15 @@ def test_the_plan_of_air_is_shown_with_its_expected_accuracy(capsys: pytest.Capt
     low, high = by_name["motor_viscous_friction", 0]["interval"]
     assert low < 0.235 < high
     assert high - low < 0.4
+
+
+def test_a_fit_writes_the_values_that_it_was_told(tmp_path: Path):
+    robot, file = RobotDescription.load("pupper_v2"), tmp_path / "robot.toml"
+    words = ["--trace", str(DATA / "one_hip_200hz.npz"), "--robot", "pupper_v2", "--rack", "one_hip_200hz"]
+    words += ["--fit", "motor_friction", "--duration", "2", "--params", str(file), "--out", str(tmp_path / "report")]
+    assert main(["identify", *words, "--set", "leg_mass_ratio=1.1", "servo_kp=9"]) == 0
+    written = read_params(file, robot).values
+    assert written["leg_mass_ratio"] == 1.1
+    assert written["servo_kp"] == 9.0
+    assert "motor_friction" in written
+    assert "base_mass_ratio" not in written

@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import pty
+import select
 import socket
 import struct
 import termios
@@ -70,6 +71,29 @@ def test_commands_from_the_channel_expire_and_then_the_robot_stands() -> None:
         assert channel.read(0.0).tolist() == [0.5, 0.0, -0.2]
         now[0] += 0.02
         assert channel.read(0.0).tolist() == STAND
+
+
+def test_a_run_starts_without_the_commands_that_other_programs_sent_before(channel: ChannelCommands) -> None:
+    for speed in (0.5, 1.0):  # a run before, and a robot that is standing up
+        send_command(channel.port, forward=speed)
+        wait_for(channel, [speed, 0.0, 0.0])
+        for _ in range(100):
+            send_command(channel.port, forward=speed)
+        channel.start()
+        assert channel.read(0.0).tolist() == STAND
+
+
+def test_a_run_starts_without_the_keys_that_were_pressed_before(terminal: tuple[int, int]) -> None:
+    typing, reading = terminal
+    keyboard = KeyboardCommands(LIMITS, reading)
+    os.write(typing, b"ww")
+    wait_for(keyboard, [0.4, 0.0, 0.0])
+    os.write(typing, b"www")
+    assert select.select([reading], [], [], 5.0)[0]
+    keyboard.start()
+    assert keyboard.read(0.0).tolist() == STAND
+    os.write(typing, b"w")
+    wait_for(keyboard, [0.2, 0.0, 0.0])
 
 
 def test_the_newest_datagram_is_used_and_a_flood_does_not_block(channel: ChannelCommands) -> None:

@@ -13,7 +13,9 @@ from surefoot.deploy.clock import LockstepClock
 from surefoot.deploy.controller import Controller
 from surefoot.deploy.deployment import TIMING_ATTEMPTS, TIMING_STEPS, Deployment
 from surefoot.deploy.messages import Arm, Ping, Position
+from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.robot_link import RobotLink
+from surefoot.deploy.run_saver import RunSaver
 from surefoot.deploy.serial.serial_link import LEAD
 from surefoot.errors import SurefootError
 from surefoot.policy.runtime import PolicyRuntime
@@ -127,3 +129,26 @@ def test_a_stop_during_the_timing_check_is_not_an_error(deployment, toy):
     deployment.operator.stops = 1
     connect(deployment)
     assert Arm not in {type(message) for _, message in toy.received}
+
+
+def test_a_run_whose_first_step_is_missed_has_its_start_and_its_own_energy(
+    deployment, computer, toy, monitor, tmp_path
+):
+    stalls: list[float] = []
+
+    def late(moment: float) -> float:
+        if monitor.phases[-1] == "run" and not stalls:
+            stalls.append(moment)
+            return 1.5 * STEP
+        return 0.0
+
+    connect(deployment)
+    computer.late = late
+    toy.sensors = lambda time, readings: replace(readings, energy=1000.0 * time)
+    saver, timing = RunSaver(deployment, tmp_path / "run.npz", 50), LoopTiming(5000)
+    saver.begin()
+    trace = saver.finish(deployment.run(saver.recorder, timing), timing, None).trace
+    assert stalls
+    assert trace.meta["robot_time_start"] == pytest.approx(stalls[0], abs=STEP)
+    # The power is 1 kW; before it ran, the robot has stood up for seconds.
+    assert trace.energy[:10].sum() == pytest.approx(1000.0 * 10 * STEP, rel=0.3)

@@ -120,7 +120,8 @@ def run(toy, link, robot, monitor, tmp_path) -> Callable[..., SimpleNamespace]:
             return readings
 
         toy.sensors = sensors
-        source = SimpleNamespace(read=lambda moment: WALK)
+        starts: list[float] = []
+        source = SimpleNamespace(read=lambda moment: WALK, start=lambda: starts.append(link.clock.now() - armed[0]))
         stop = SimpleNamespace(stops=0)
         deployment = Deployment(link, Controller(policy, robot), stop, monitor, commands=source, maps=maps)
         with contextlib.closing(maps):
@@ -129,7 +130,7 @@ def run(toy, link, robot, monitor, tmp_path) -> Callable[..., SimpleNamespace]:
             saver.begin()
             outcome = deployment.run(saver.recorder, timing)
             trace = saver.finish(outcome, timing, None).trace
-        return SimpleNamespace(outcome=outcome, trace=trace, policy=policy)
+        return SimpleNamespace(outcome=outcome, trace=trace, policy=policy, starts=starts)
 
     return play
 
@@ -139,6 +140,7 @@ def test_a_policy_gets_its_map_and_follows_commands_while_maps_arrive(run, monit
     assert (done.outcome.ended, done.outcome.safe) == ("time", False)
     assert monitor.warnings == []
     assert done.trace.command == pytest.approx(np.tile(WALK, (150, 1)))
+    assert done.starts == [pytest.approx(STARTUP_TIME, abs=0.1)]  # commands from before the robot stands don't count
     columns = done.policy.contract.columns
     seen = done.trace.observation[:, [columns.index(name) for name in columns if name.startswith("ground")]]
     assert seen.shape == (150, len(POLICY_GRID.ahead) * len(POLICY_GRID.left))

@@ -67,21 +67,21 @@ def export_rl_sar(policy: PolicyRuntime, data: bytes, robot: RobotDescription, f
     made = _translate(policy, data, robot, by_term=False)
     names = first_names(rl_sar.TERMS)
     count, decimation = robot.num_motors, max(round(made.control_step / _PHYSICS_STEP), 1)
-    torque = np.broadcast_to(getattr(robot.actuator, "torque_limit", 0.0), count).astype(float)
     # The robot stands up with the data sheet's gains, because a policy's gains are often too soft for it.
-    fixed = {
-        f"fixed_{name}": np.broadcast_to(np.asarray(getattr(robot.actuator, name), float), count).tolist()
-        for name in ("kp", "kd")
-    }
-    # In rl_sar, motors are in the order of the hardware.
+    motors = {f"fixed_{name}": getattr(robot.actuator, name) for name in ("kp", "kd")}
+    motors["torque_limits"] = getattr(robot.actuator, "torque_limit", 0.0)
+    motors = {key: np.broadcast_to(np.asarray(value, float), count) for key, value in motors.items()}
+    order = [robot.motor_names.index(joint) for joint in made.joints]
+    pose = np.empty(count)
+    pose[order] = made.default_pose
+    # In rl_sar, base.yaml has the motors in the order of the hardware, and config.yaml in that of the policy.
     base: dict[str, object] = {
         "dt": made.control_step / decimation,
         "decimation": decimation,
         "num_of_dofs": count,
         "wheel_indices": [],
-        **fixed,
-        "torque_limits": torque.tolist(),
-        "default_dof_pos": made.default_pose.tolist(),
+        **{key: values.tolist() for key, values in motors.items()},
+        "default_dof_pos": pose.tolist(),
         "joint_names": list(robot.motor_names),
         "joint_controller_names": [f"{name.removesuffix('_joint')}_controller" for name in robot.motor_names],
         "joint_mapping": list(range(count)),
@@ -97,7 +97,7 @@ def export_rl_sar(policy: PolicyRuntime, data: bytes, robot: RobotDescription, f
         "clip_actions_upper": [1e6] * count,
         "rl_kp": made.kp.tolist(),
         "rl_kd": made.kd.tolist(),
-        **fixed,
+        **{key: values[order].tolist() for key, values in motors.items()},
         "num_of_dofs": count,
         "action_scale": made.action_scale.tolist(),
         "wheel_indices": [],
@@ -106,9 +106,8 @@ def export_rl_sar(policy: PolicyRuntime, data: bytes, robot: RobotDescription, f
         "dof_pos_scale": 1.0,
         "dof_vel_scale": 1.0,
         "commands_scale": [1.0, 1.0, 1.0],
-        "torque_limits": torque.tolist(),
         "default_dof_pos": made.default_pose.tolist(),
-        "joint_mapping": [robot.motor_names.index(joint) for joint in made.joints],
+        "joint_mapping": order,
     }
     folder.mkdir(parents=True, exist_ok=True)
     files = [folder / "policy.onnx", folder / "config.yaml", folder / "base.yaml"]

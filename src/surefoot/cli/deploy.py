@@ -96,10 +96,10 @@ def main(argv: list[str]) -> int:
     command.check_link()
     if command.browser and command.commands is not None:
         raise SurefootError("--browser and --commands can't be combined; commands come from one source")
-    if command.dry_run and command.release:
-        raise SurefootError(
-            "--dry-run and --release can't be combined: a dry run sends nothing, and --release moves a Go2"
-        )
+    for option, does in (("release", "moves a Go2"), ("hand_back", "activates a Go2's own controller")):
+        if command.dry_run and getattr(command, option):
+            name = f"--{option.replace('_', '-')}"
+            raise SurefootError(f"--dry-run and {name} can't be combined: a dry run sends nothing, and {name} {does}")
     if command.browser and command.lockstep:
         raise SurefootError("--browser and --lockstep can't be combined; a page runs in real time")
     if command.browser:
@@ -107,7 +107,13 @@ def main(argv: list[str]) -> int:
     from surefoot.api.policies import find_policy, open_policy
     from surefoot.check_result import first_failure
     from surefoot.deploy.checks import check_contract, check_map
-    from surefoot.deploy.command_sources import KEYBOARD, ChannelCommands, CommandSource, open_commands
+    from surefoot.deploy.command_sources import (
+        KEYBOARD,
+        ChannelCommands,
+        CommandSource,
+        keyboard_file,
+        open_commands,
+    )
     from surefoot.deploy.controller import Controller
     from surefoot.deploy.deployment import Deployment
     from surefoot.deploy.display import open_display
@@ -136,7 +142,9 @@ def main(argv: list[str]) -> int:
         if command.commands is not None:
             if contract.commands is None:
                 raise SurefootError(f"--commands is given; policy '{contract.name}' follows no commands")
-            if command.commands != KEYBOARD:
+            if command.commands == KEYBOARD:
+                keyboard_file()
+            else:
                 commands = open_commands(command.commands, contract.commands)
                 stack.callback(commands.close)
         if command.browser:
@@ -151,6 +159,10 @@ def main(argv: list[str]) -> int:
             print(f"{page.address}   (Ctrl-C: the robot sits down)", file=sys.stderr, flush=True)
             commands = channel if contract.commands is not None else None
             stack.callback(page.close)
+        maps = None
+        if command.height_map is not None and contract.height_map is not None:
+            maps = MapChannel(command.height_map, contract.height_map)
+            stack.callback(maps.close)
         # After all that can be rejected, as a Go2 lies down when its controller is released. Until the link is open,
         # Ctrl-C ends the command.
         link = command.open_link(robot, contract, may_ask=not command.dry_run)
@@ -164,10 +176,9 @@ def main(argv: list[str]) -> int:
         if not command.browser:
             monitor = open_display(title)
             stack.callback(monitor.close)
-        maps = None
-        if command.height_map is not None and contract.height_map is not None:
-            maps = MapChannel(command.height_map, contract.height_map, link.clock.now)
-            stack.callback(maps.close)
+        if maps is not None:
+            maps.clock = link.clock.now
+            maps.discard()
         deployment = Deployment(link, controller, stop, monitor, command.dry_run, commands, maps)
         unused.pop_all()  # the deployment closes it
         stack.callback(deployment.close)
@@ -202,10 +213,17 @@ def _runs(
     runs: list[tuple[RunOutcome, LoopTiming, SavedRun, int]] = []
     code = 0
     for run in range(command.episodes):
-        path = None if command.dry_run and command.out is None else next_free_path(command.out or Path("deploy"))
-        saver = RunSaver(deployment, path, steps, command.world_name, run)
         timing = LoopTiming(steps + round((STARTUP_TIME + SHUTDOWN_TIME) / step) + 16)
-        saver.begin()
+        try:
+            path = None if command.dry_run and command.out is None else next_free_path(command.out or Path("deploy"))
+            saver = RunSaver(deployment, path, steps, command.world_name, run)
+            saver.begin()
+        except (SurefootError, OSError) as error:
+            if not runs:
+                raise
+            deployment.monitor.warn(f"run {run} can't be recorded and did not begin: {error}")
+            code = SAFETY_STOP
+            break
         outcome = deployment.run(saver.recorder, timing)
         saved = saver.finish(outcome, timing, command.motion_capture)
         runs.append((outcome, timing, saved, saver.recorder.steps))

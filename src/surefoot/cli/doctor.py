@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from rich.text import Text
 
 from surefoot.api.policies import find_policy, open_policy
 from surefoot.check_result import CheckResult
-from surefoot.cli.helpers.link_options import LinkOptions
+from surefoot.cli.helpers.link_options import LinkOptions, close_link
 from surefoot.cli.helpers.options import (
     PLACES,
     Json,
@@ -32,7 +31,6 @@ from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.deploy.doctor.examination import STEPS, examine
 from surefoot.deploy.doctor.link_check import PINGS
-from surefoot.deploy.robot_link import LinkLostError
 from surefoot.errors import SurefootError
 
 FAILED = 3
@@ -99,8 +97,7 @@ def main(argv: list[str]) -> int:
             if not command.json:
                 print_result(console, result)
     finally:
-        with contextlib.suppress(LinkLostError, OSError):
-            link.close()
+        close_link(link)
     counts = Counter(result.passed for result in results)
     if command.json:
         data = {

@@ -14,6 +14,8 @@ from surefoot.errors import SurefootError
 
 _MAX_DATAGRAMS = 64
 """Maximum number of datagrams per read."""
+_MAX_WAITING = 10_000
+"""Maximum number of datagrams that are discarded, more than a socket holds: a flood must not block."""
 _ADDRESS = "127.0.0.1"
 
 T = TypeVar("T")
@@ -41,7 +43,9 @@ class Channel(Generic[T]):
         max_bytes: int,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._parse, self._max_bytes, self._clock, self._received = parse, max_bytes, clock, -math.inf
+        self._parse, self._max_bytes, self._received = parse, max_bytes, -math.inf
+        self.clock = clock
+        """Returns the time that determines the age of messages [s]."""
         self.newest: T | None = None
         """Newest message at the last `receive`; None before the first one."""
         self.rejected = 0
@@ -66,8 +70,15 @@ class Channel(Generic[T]):
             if message is None:
                 self.rejected += 1
             else:
-                self.newest, self._received = message, self._clock()
-        return self._clock() - self._received
+                self.newest, self._received = message, self.clock()
+        return self.clock() - self._received
+
+    def discard(self) -> None:
+        """Forget all messages so far: nobody knows when those that wait unread have arrived."""
+        with contextlib.suppress(OSError):
+            for _ in range(_MAX_WAITING):
+                self._socket.recv(self._max_bytes + 1)
+        self.newest, self._received = None, -math.inf
 
     def _message(self, data: bytes) -> T | None:
         if len(data) > self._max_bytes:

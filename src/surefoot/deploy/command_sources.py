@@ -44,7 +44,10 @@ _EVENT = struct.Struct("<IhBB")
 
 
 class CommandSource(Protocol):
-    """Source of velocity commands; `read` returns immediately and raises nothing."""
+    """Source of velocity commands; `start` and `read` return immediately and raise nothing."""
+
+    def start(self) -> None:
+        """Begin a run: the robot stands until a command arrives. Those from before it are forgotten."""
 
     def read(self, moment: float) -> Array:
         """Return the command (3,) at a moment [s] of the run."""
@@ -61,6 +64,9 @@ class FileCommands:
         self._schedule = CommandSchedule([rows], None, 1)
         self.duration = schedule_duration(rows)
         """Duration of the schedule [s]."""
+
+    def start(self) -> None:
+        """Do nothing: times are those of the run."""
 
     def read(self, moment: float) -> Array:
         """Return the command (3,) at a moment [s] of the run."""
@@ -84,6 +90,10 @@ class ChannelCommands(Channel[Array]):
     def __init__(self, port: int, clock: Callable[[], float] = time.monotonic) -> None:
         super().__init__("commands", port, parse_command, _MAX_BYTES, clock)
 
+    def start(self) -> None:
+        """Forget the commands that other programs have sent."""
+        self.discard()
+
     def read(self, moment: float) -> Array:
         """Return the newest command (3,), or zero if it is too old."""
         age = self.receive()
@@ -102,6 +112,20 @@ def send_command(port: int, forward: float = 0.0, sideways: float = 0.0, yaw_rat
     send(port, {"forward": forward, "sideways": sideways, "yaw_rate": yaw_rate})
 
 
+def keyboard_file(input_file: int | None = None) -> int:
+    """Return the descriptor of the terminal from which keys are read; defaults to the standard input.
+
+    Raises:
+        SurefootError: it is not a terminal.
+    """
+    if input_file is None and sys.stdin is not None and not sys.stdin.closed:
+        with contextlib.suppress(OSError):  # of a standard input without a descriptor
+            input_file = sys.stdin.fileno()
+    if input_file is None or not os.isatty(input_file):
+        raise SurefootError("commands: keyboard needs a terminal as standard input; choices: a file, gamepad, PORT")
+    return input_file
+
+
 class KeyboardCommands:
     """Velocity commands from the keyboard: each key press changes a command by a tenth of its limit; space stops.
 
@@ -114,12 +138,15 @@ class KeyboardCommands:
         import tty
 
         self._limits, self._command = limits, np.array(STAND_COMMAND)
-        self._file = sys.stdin.fileno() if input_file is None else input_file
-        if not os.isatty(self._file):
-            raise SurefootError("commands: keyboard needs a terminal as standard input; choices: a file, gamepad, PORT")
+        self._file = keyboard_file(input_file)
         self._termios, self._before = termios, termios.tcgetattr(self._file)
         # Keys arrive immediately and are not echoed; Ctrl-C still sends a signal.
         tty.setcbreak(self._file)
+
+    def start(self) -> None:
+        """Forget the keys that were pressed."""
+        self.read(0.0)
+        self._command = np.array(STAND_COMMAND)
 
     def read(self, moment: float) -> Array:
         """Return the command (3,) set by the keys."""
@@ -164,6 +191,9 @@ class GamepadCommands:
             self._file = os.open(device, os.O_RDONLY | os.O_NONBLOCK)
         except OSError as error:
             raise SurefootError(f"commands: gamepad {device}: {error.strerror}; is one connected?") from error
+
+    def start(self) -> None:
+        """Do nothing: sticks have a position, which counts."""
 
     def read(self, moment: float) -> Array:
         """Return the command (3,) set by the sticks."""

@@ -216,7 +216,9 @@ class Deployment:
     def _run_policy(self, loop: ControlLoop, recorder: Recorder) -> Verdict:
         controller = self.controller
         controller.reset(self.link.lead)
-        speedometer, shown = None, 0
+        if self.commands is not None:
+            self.commands.start()
+        speedometer, shown, has_begun = None, 0, False
         if self.monitor.shows_speed:
             speedometer = Speedometer(self.robot, self.contract.control_step, self.link.lead)
         clamped = ""
@@ -236,9 +238,10 @@ class Deployment:
             return target
 
         def after(k: int, state: State, computed: bool) -> None:
-            nonlocal shown
-            if k == 0:
+            nonlocal shown, has_begun
+            if not has_begun:  # a computer that is late misses the first steps
                 recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
+                has_begun = True
             if speedometer is not None:
                 speedometer.update(state, max(k - shown, 1))
                 shown, loop.speed = k, (*speedometer.velocity.tolist(), speedometer.distance)

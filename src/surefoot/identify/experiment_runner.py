@@ -163,7 +163,8 @@ class _ExperimentRunner:
         self._overload_time = np.where(overloaded, self._overload_time + self.period, 0.0)
         worst = int(np.argmax(self._overload_time))
         if self._overload_time[worst] > limits.torque_time:
-            return f"{names[worst]} exceeded {limits.torque:g} N m for {limits.torque_time:g} s"
+            limit = np.broadcast_to(limits.torque, len(names))[worst]
+            return f"{names[worst]} exceeded {limit:g} N m for {limits.torque_time:g} s"
         worst = int(np.argmax(state.temperature))
         if state.temperature[worst] > limits.temperature:
             return f"{names[worst]} is at {state.temperature[worst]:.0f} degC; at most {limits.temperature:g}"

@@ -40,8 +40,8 @@ class Phase:
 class ExperimentLimits:
     """Limits beyond which an experiment stops early and damps all motors."""
 
-    torque: float
-    """Motor torque [N m] that may be exceeded for `torque_time` at most."""
+    torque: Array | float
+    """Torque [N m] of each motor (M,), or of all, that may be exceeded for `torque_time` at most."""
     angle_margin: float = 0.7
     """Maximum distance [rad] of a motor from the range of the plan's angles."""
     torque_time: float = 0.4

@@ -125,7 +125,11 @@ def test_import_rejects_a_log_of_another_shape(tmp_path: Path, pupper: RobotDesc
         import_log(tmp_path / "log.npz", pupper)
 
 
-def test_import_reads_a_ros_bag(tmp_path: Path, pupper: RobotDescription):
+TOPICS = ("sent", "read")
+
+
+def write_bag(path: Path, messages: list[tuple[int, str, float]]) -> None:
+    """Write joint states: time [ms], topic, and the position of all twelve joints [rad]."""
     pytest.importorskip("rosbags")
     from rosbags.rosbag2 import StoragePlugin, Writer
     from rosbags.typesys import Stores, get_typestore
@@ -133,14 +137,18 @@ def test_import_reads_a_ros_bag(tmp_path: Path, pupper: RobotDescription):
     store = get_typestore(Stores.ROS2_HUMBLE)
     kind = store.types["sensor_msgs/msg/JointState"]
     stamp, header = store.types["builtin_interfaces/msg/Time"], store.types["std_msgs/msg/Header"]
-    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        topics = [writer.add_connection(f"/{name}", kind.__msgtype__, typestore=store) for name in ("sent", "read")]
-        for k in range(3):
-            for number, topic in enumerate(topics):
-                angles = np.full(12, k + 10.0 * number)
-                message = kind(header(stamp(0, 0), ""), [], angles, np.zeros(0), np.zeros(0))
-                when = 1_000_000_000 + 10_000_000 * k + 1_000_000 * number
-                writer.write(topic, when, store.serialize_cdr(message, kind.__msgtype__))
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topics = {name: writer.add_connection(f"/{name}", kind.__msgtype__, typestore=store) for name in TOPICS}
+        for moment, name, angle in messages:
+            message = kind(header(stamp(0, 0), ""), [], np.full(12, angle, float), np.zeros(0), np.zeros(0))
+            data = store.serialize_cdr(message, kind.__msgtype__)
+            writer.write(topics[name], 1_000_000_000 + 1_000_000 * moment, data)
+
+
+def test_import_reads_a_ros_bag(tmp_path: Path, pupper: RobotDescription):
+    times = [(k, 10 * k) for k in range(3)]
+    sent, read = ([(at + number, name, k + 10.0 * number) for k, at in times] for number, name in enumerate(TOPICS))
+    write_bag(tmp_path / "bag", sorted(sent + read))
     which = mapping(tmp_path / "m.yaml", pupper, "sent.position[{}]", "read.position[{}]")
     (one,) = (tmp_path / "bag").glob("*.mcap")
     motion, same = (import_log(path, pupper, which) for path in (tmp_path / "bag", one))
@@ -148,6 +156,16 @@ def test_import_reads_a_ros_bag(tmp_path: Path, pupper: RobotDescription):
     np.testing.assert_allclose(motion.time, [0.0, 0.001, 0.01, 0.011, 0.02, 0.021])
     np.testing.assert_array_equal(motion.command[:, 0], [0, 0, 1, 1, 2, 2])
     np.testing.assert_array_equal(motion.motor_angle[:, 5], [np.nan, 10, 10, 11, 11, 12])
+    assert "notes" not in motion.meta
+
+
+def test_a_bag_may_begin_before_the_first_command(tmp_path: Path, pupper: RobotDescription):
+    write_bag(tmp_path / "bag", [(0, "read", 10.0), (5, "read", 11.0), (7, "sent", 1.0), (9, "read", 12.0)])
+    which = mapping(tmp_path / "m.yaml", pupper, "sent.position[{}]", "read.position[{}]")
+    motion = import_log(tmp_path / "bag", pupper, which)
+    np.testing.assert_array_equal(motion.command[:, 3], [1, 1])
+    np.testing.assert_array_equal(motion.motor_angle[:, 3], [11, 12])
+    assert motion.meta["notes"] == ["2 messages before the first command are left out"]
 
 
 def billion() -> list[object]:

@@ -92,17 +92,41 @@ def test_search_reduces_the_cost_over_shared_unknowns(pupper: RobotDescription, 
         fit_robot(pupper, [hanging], [], ["motor_offset"], initial, search=2)
 
 
-def test_yaw_of_the_imu_is_identified(pupper: RobotDescription, hanging: RecordedMotion):
-    nominal = PhysicalParams.nominal(pupper)
-    truth, first = nominal.rows(np.zeros(1, np.int64)), hanging.first_seconds(0.5)
+@pytest.fixture(scope="module")
+def tilting(pupper: RobotDescription, hanging: RecordedMotion) -> RecordedMotion:
+    """Half a second on the ground, with the IMU turned by half a turn: the left legs bend, so it rolls and pitches."""
+    truth, first = PhysicalParams.nominal(pupper).rows(np.zeros(1, np.int64)), hanging.first_seconds(0.5)
     truth.imu_mount[0, 2] = np.pi
-    # The left legs bend, so the robot rolls and pitches, and the IMU reports both with the opposite sign.
     command = first.command.copy()
     command[:, 2::6] -= 0.4 * np.linspace(0, 1, len(command))[:, None]
     blank = replace(first, command=command, rack=False)
     readings = Replayer(pupper, 1, rack=False, torques=False).run(segment_from_motion(blank, pupper), truth)
     attitude, rates = readings.imu[0, :, :3], readings.imu[0, :, 3:]
-    log = replace(blank, motor_angle=readings.motor_angle[0], roll_pitch_yaw=attitude, angular_velocity_base=rates)
-    assert np.ptp(log.imu[:, :2], axis=0).min() > 0.01
-    assert find_imu_yaw(pupper, [log], nominal) == np.pi
+    return replace(blank, motor_angle=readings.motor_angle[0], roll_pitch_yaw=attitude, angular_velocity_base=rates)
+
+
+def without_tilt(log: RecordedMotion, rows: list[int]) -> RecordedMotion:
+    """Return a log whose IMU sent nothing in some rows."""
+    attitude = log.roll_pitch_yaw.copy()
+    attitude[rows] = np.nan
+    return replace(log, roll_pitch_yaw=attitude)
+
+
+def test_yaw_of_the_imu_is_identified(pupper: RobotDescription, hanging: RecordedMotion, tilting: RecordedMotion):
+    nominal = PhysicalParams.nominal(pupper)
+    assert np.ptp(tilting.imu[:, :2], axis=0).min() > 0.01
+    assert find_imu_yaw(pupper, [tilting], nominal) == np.pi
     assert find_imu_yaw(pupper, [hanging], nominal) is None
+    assert find_imu_yaw(pupper, [without_tilt(tilting, [0, 20])], nominal) == np.pi
+    assert find_imu_yaw(pupper, [without_tilt(tilting, list(range(len(tilting.time))))], nominal) is None
+
+
+def test_a_missing_reading_of_the_imu_is_left_out_of_the_fit(pupper: RobotDescription, tilting: RecordedMotion):
+    truth = PhysicalParams.nominal(pupper).rows(np.zeros(1, np.int64))
+    truth.imu_mount[0, 2] = np.pi
+    unknowns = robot_unknowns(pupper, truth, ["servo_kp"])
+    start = np.array([unknown.start for unknown in unknowns])
+    for rows in ([], [30], list(range(len(tilting.time)))):
+        model = robot_model(pupper, [without_tilt(tilting, rows)], unknowns, truth)
+        residuals = model.residuals(start[None])[0]
+        assert np.abs(residuals).max() < 0.1  # the true robot

@@ -52,6 +52,12 @@ def test_commands_stay_within_limits(serial: RobotDescription, plan: Plan):
     assert np.all(torque < 1.3 * TORQUE_FRACTION * nominal.torque_limit[0])
 
 
+def test_a_blocked_motor_exceeds_the_torque_that_ends_the_experiment(serial: RobotDescription, plan: Plan):
+    own = PhysicalParams.nominal(serial).torque_limit[0]
+    assert np.all(plan.limits.torque < own)
+    assert np.all(plan.limits.torque > 1.3 * TORQUE_FRACTION * own)  # what the fastest part of a chirp demands
+
+
 def test_joints_keep_clear_of_their_limits(serial: RobotDescription, plan: Plan):
     for motor, name in enumerate(serial.motor_names):
         limits = serial.urdf.joints[name].limits

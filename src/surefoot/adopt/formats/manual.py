@@ -15,10 +15,13 @@ from surefoot.configuration import from_mapping, read_yaml, to_mapping
 from surefoot.errors import SurefootError, describe_os_errors, prefix_errors, quote
 from surefoot.files import atomic_write
 from surefoot.robot import RobotDescription
+from surefoot.robot.commands import COMMANDS
 
 
 def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) -> PolicySpecification:
-    """Read the specification of a policy; `overrides` replace fields of the file.
+    """Read the specification of a policy; `overrides` replace fields of the file, except stated ranges of commands.
+
+    These say what the policy was trained for.
 
     Raises:
         SurefootError: the file lacks a field, or has a key that a specification does not have.
@@ -33,7 +36,10 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
             if isinstance(name, str) and name not in get_args(TermName) and (reason := unmeasured_reason(name)):
                 where = f"observations[{place}].term is {quote(name)}, which {reason}"
                 raise SurefootError(f"{where}; {unmeasured_remedy(reason)}")
-        return from_mapping(PolicySpecification, {**table, **overrides})
+        stated = {name for name in COMMANDS if name in table}
+        return from_mapping(
+            PolicySpecification, {**table, **{name: overrides[name] for name in overrides if name not in stated}}
+        )
 
 
 def write(path: Path, specification: PolicySpecification) -> None:

@@ -15,7 +15,7 @@ from surefoot.errors import SurefootError, suggest
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.identify.robot_params_file import check_new_logs, read_gains, read_prior
 from surefoot.robot import PhysicalParams, RobotDescription
-from surefoot.robot.params import parse_settings
+from surefoot.robot.params import GAINS, parse_settings
 
 RUNS = Path("runs/identify")
 FIT_FAILED = 3
@@ -76,6 +76,7 @@ def identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
             raise SurefootError(f"--{option} names '{bad[0]}', which is not a log; {suggest(bad[0], logs)}")
     prior = read_prior(command.params, robot)
     from surefoot.identify.motion.motion_digest import all_digest, motion_digest
+    from surefoot.identify.motion.priors import gains_are_commanded
 
     fitted = [name for name in logs if name not in command.hold_out]
     ordered = [logs[name] for name in [*fitted, *command.hold_out]]
@@ -86,7 +87,10 @@ def identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     stated = {**logged, **settings}
     gains = {**read_gains(prior), **{name: value for name, value in stated.items() if name not in prior.names}}
     gains |= settings
-    prior = replace(prior, params=prior.params.with_values(robot, **gains))
+    # The estimates hold for the values of --set, so these are written too; commanded gains have a table of their own.
+    kept = {*prior.names, *settings.keys() - ({*GAINS} if gains_are_commanded(robot) else set())}
+    names = tuple(name for name in PhysicalParams.names() if name in kept)
+    prior = replace(prior, params=prior.params.with_values(robot, **gains), names=names)
     from surefoot.cli.helpers.identify_results import check_installed, fit_progress, print_failure, save_and_print
 
     check_installed()

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from surefoot.arrays import Array
 from surefoot.check_result import first_failure
-from surefoot.cli.helpers.link_options import LinkOptions
+from surefoot.cli.helpers.link_options import LinkOptions, close_link
 from surefoot.cli.helpers.options import PLACES, Json, Settings, Yes, ask_to_move, check_terminal
 from surefoot.cli.helpers.output import make_console
 from surefoot.deploy.checks import check_handshake
@@ -85,13 +85,24 @@ def run_experiment(command: ExperimentCommand, plan: Plan, robot: RobotDescripti
     """
     if not command.yes:
         check_terminal(PLACES[plan.rack])
-    with _connect(command, robot) as (link, handshake):
-        # Angles outside the robot's limits are not sent to it.
-        show_plan(plan, handshake.robot, (handshake.angle_low, handshake.angle_high), make_console(stderr=command.json))
-        if command.yes:
-            return _run(command, link, plan, robot, path)
-    # The robot's connection times out while the operator answers, so it is connected again.
-    ask_to_move(PLACES[plan.rack])
+    # A Go2's own controller must not take the robot back while the operator reads the plan.
+    first = command if command.yes else replace(command, hand_back=False)
+    try:
+        with _connect(first, robot) as (link, handshake):
+            # Angles outside the robot's limits are not sent to it.
+            show_plan(
+                plan, handshake.robot, (handshake.angle_low, handshake.angle_high), make_console(stderr=command.json)
+            )
+            if command.yes:
+                return _run(command, link, plan, robot, path)
+        # The robot's connection times out while the operator answers, so it is connected again.
+        ask_to_move(PLACES[plan.rack])
+    except BaseException:
+        if command.hand_back and not command.yes:
+            again = replace(command, release=False, yes=True)  # it neither moves nor asks
+            with contextlib.suppress(SurefootError, LinkLostError, OSError), _connect(again, robot):
+                pass
+        raise
     with _connect(command, robot) as (link, _):
         return _run(command, link, plan, robot, path)
 
@@ -104,8 +115,7 @@ def _connect(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tu
         check_robot(handshake, robot)
         yield link, handshake
     finally:
-        with contextlib.suppress(LinkLostError, OSError):
-            link.close()
+        close_link(link)
 
 
 def check_robot(handshake: Handshake, robot: RobotDescription) -> None:
@@ -135,10 +145,11 @@ def show_plan(plan: Plan, name: str, angle_limits: tuple[Array | float, Array | 
     console.print(table)
     pwm = f"; duty without the servo up to {plan.largest_duty:g}" if plan.largest_duty else ""
     console.print(f"motor angles from {low.min():.2f} to {high.max():.2f} rad{pwm}")
+    torque = " or ".join(f"{one:g}" for one in np.unique(limits.torque).tolist())  # of different motors
     console.print(
         f"motors are damped if an angle leaves {plan.angle_low.min() - limits.angle_margin:.2f} to "
         f"{plan.angle_high.max() + limits.angle_margin:.2f} rad, a torque exceeds "
-        f"{limits.torque:g} N m for {limits.torque_time:g} s or a temperature {limits.temperature:g} degC, after "
+        f"{torque} N m for {limits.torque_time:g} s or a temperature {limits.temperature:g} degC, after "
         f"{limits.duration:g} s, or by Ctrl-C",
     )
 

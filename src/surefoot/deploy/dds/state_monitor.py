@@ -118,7 +118,7 @@ class StateMonitor:
 
     def _read(self, now: int, state: bytes) -> None:
         numbers = _STATE.unpack_from(state)
-        motors, (tick, remote, power) = numbers[10:-3], numbers[-3:]
+        motors, (tick, remote, board_voltage) = numbers[10:-3], numbers[-3:]
         if self.tick is not None:
             rise = (tick - self.tick + 2**31) % 2**32 - 2**31
             if -TICK_RESTART < rise <= 0:
@@ -136,9 +136,9 @@ class StateMonitor:
         )
         self._rate, self._force = numbers[4:7], numbers[7:10]
         if self.received % _BATTERY_STATES == 1:
-            self.voltage = battery_voltage(_CELLS.unpack_from(state), power)
+            self.voltage = battery_voltage(_CELLS.unpack_from(state), board_voltage)
         length = math.hypot(*numbers[:4])
-        if not math.isfinite(sum(numbers[:-3]) + power):
+        if not math.isfinite(sum(numbers[:-3]) + board_voltage):
             self._state_hazard = Reason.NOT_FINITE, "a reading of the robot is not finite"
         elif not abs(length - 1) <= MAX_QUATERNION_ERROR:
             self._state_hazard = Reason.NOT_FINITE, f"the IMU's quaternion has norm {length:.3g}; it must be 1"

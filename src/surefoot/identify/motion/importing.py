@@ -174,11 +174,16 @@ def _motion(
         )
     check_rising(time)
     angle = ANGLE_UNITS[columns.unit]
-    command = motor_columns("command", angle, True)
-    if motors[0].command is not None and not np.isfinite(command).all():
-        row, motor = (int(k) for k in np.argwhere(~np.isfinite(command))[0])
-        raise SurefootError(f"row {row} has no command for {robot.motor_names[motor]}; every row needs a command")
-    return RecordedMotion(
+    command, first = motor_columns("command", angle, True), 0
+    if table.time is not None and (whole := np.isfinite(command).all(axis=1)).any():
+        first = int(np.argmax(whole))  # a bag begins before the first command
+        if table.rows - first < 2:
+            raise SurefootError("has a command in the last row only; a log has 2 or more rows with commands")
+    if motors[0].command is not None and not np.isfinite(command[first:]).all():
+        row, motor = (int(k) for k in np.argwhere(~np.isfinite(command[first:]))[0])
+        joint = robot.motor_names[motor]
+        raise SurefootError(f"row {first + row} has no command for {joint}; every row needs a command")
+    motion = RecordedMotion(
         name,
         time,
         command,
@@ -187,7 +192,9 @@ def _motion(
         motor_torque=motor_columns("torque"),
         roll_pitch_yaw=imu_columns("roll", "pitch", "yaw"),
         angular_velocity_base=imu_columns("roll_rate", "pitch_rate", "yaw_rate"),
+        meta={"notes": [f"{first} messages before the first command are left out"]} if first else {},
     )
+    return motion.rows(slice(first, None))
 
 
 def _find_run_column(table: ColumnTable, time: Array) -> str | None:

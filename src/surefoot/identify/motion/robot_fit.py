@@ -160,16 +160,21 @@ def find_imu_yaw(robot: RobotDescription, motions: Sequence[RecordedMotion], pri
     low, high = robot.allowed["imu_mount"]
     yaws = [yaw for yaw in IMU_YAW_CANDIDATES if low <= yaw <= high]
     standing = [
-        one.first_seconds(GROUND_SECONDS) for one in motions if not one.rack and np.isfinite(one.imu[:, :2]).all()
+        one.first_seconds(GROUND_SECONDS)
+        for one in motions
+        if not one.rack and np.isfinite(one.imu[:, :2]).all(axis=1).any()
     ]
-    if not standing or len(yaws) < 2:
+    measured = [np.isfinite(one.imu[:, :2]).all(axis=1) for one in standing]
+    if not any(rows.any() for rows in measured) or len(yaws) < 2:
         return None
     candidates = prior.rows(np.zeros(len(yaws), np.int64))
     candidates.imu_mount[:, 2] = yaws
     replayer, cost = Replayer(robot, len(yaws), rack=False, torques=False), np.zeros(len(yaws))
-    for motion in standing:
+    for motion, rows in zip(standing, measured, strict=True):
+        if not rows.any():
+            continue
         readings = imu_channels(replayer.run(segment_from_motion(motion, robot), candidates))
-        cost += np.nan_to_num(np.sum((readings - motion.imu)[:, :, :2] ** 2, axis=(1, 2)), nan=np.inf)
+        cost += np.nan_to_num(np.sum((readings - motion.imu)[:, rows, :2] ** 2, axis=(1, 2)), nan=np.inf)
     return yaws[int(np.argmin(cost))]
 
 

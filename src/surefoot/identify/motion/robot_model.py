@@ -102,6 +102,7 @@ def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Rep
     """Return the motor angles, roll and pitch of a log as observations (n, M + 2)."""
     rows, segment = _spaced_rows(motion), segment_from_motion(motion, robot)
     recorded = np.concatenate([motion.motor_angle, motion.imu[:, :2]], axis=1)[rows]
+    has_tilt = np.isfinite(recorded[:, -2:])
 
     def errors(params: PhysicalParams, nuisance: Nuisance) -> Array:
         clock = nuisance.get((CLOCK, None), np.ones(params.num_envs))
@@ -113,7 +114,8 @@ def _observations(robot: RobotDescription, motion: RecordedMotion, replayer: Rep
             predicted[group] = np.concatenate([readings.motor_angle, imu_channels(readings)[:, :, :2]], axis=2)[:, rows]
         errors = predicted - recorded
         # The orientation from such IMUs drifts between logs: only its change is compared.
-        errors[:, :, -2:] -= errors[:, :, -2:].mean(axis=1, keepdims=True)
+        tilt = errors[:, :, -2:]
+        tilt -= np.where(has_tilt, tilt, 0.0).sum(axis=1, keepdims=True) / np.maximum(has_tilt.sum(axis=0), 1)
         return errors
 
     # On a rack, readings of still joints do not depend on the parameters.

@@ -28,6 +28,8 @@ SPEED_FRACTION = 0.3
 """Maximum commanded speed, relative to the speed limit of the motor."""
 TORQUE_FRACTION = 0.5
 """Maximum torque demand of the servo at the fastest part of a chirp, relative to the torque limit of the motor."""
+STOP_FRACTION = 0.9
+"""Torque that ends the experiment, relative to the torque limit of the motor."""
 COMBINED_FACTOR = 0.6
 """Amplitude when all joints move together, relative to one kind of joint at a time, so that legs do not collide."""
 DEFAULT_SPEED_LIMIT = 20.0
@@ -74,7 +76,9 @@ def air_plan(robot: RobotDescription) -> Plan:
             use="check",
         ),
     ]
-    limits = ExperimentLimits(float(np.max(robot.actuator.torque_limit)), angle_margin=0.5)
+    # A blocked motor pushes with its own limit, so the experiment's has to be below it.
+    torque = STOP_FRACTION * np.broadcast_to(np.asarray(robot.actuator.torque_limit, float), robot.num_motors)
+    limits = ExperimentLimits(torque, angle_margin=0.5)
     return Plan("air", True, tuple(phases), middle - amplitude, middle + amplitude, 0.0, limits)
 
 
