@@ -169,8 +169,11 @@ class Bench:
         config = replace(config, threads=self.threads, learning_threads=self.threads)
         self.learner = PpoLearner(config, SimWorld)
         self.drawn_learner = PpoLearner(replace(config, task=replace(config.task, randomize=table1)), SimWorld)
-        self.single_learner = PpoLearner(replace(config, threads=1, learning_threads=1), SimWorld)
-        for learner in (self.learner, self.drawn_learner, self.single_learner):
+        learners = [self.learner, self.drawn_learner]
+        if self.threads > 1:
+            self.single_learner = PpoLearner(replace(config, threads=1, learning_threads=1), SimWorld)
+            learners.append(self.single_learner)
+        for learner in learners:
             learner.update()
 
     def _env(self, task: TaskConfig, ranges: Ranges) -> LocomotionEnv:

@@ -74,7 +74,7 @@ def export_rl_sar(policy: PolicyRuntime, data: bytes, robot: RobotDescription, f
     order = [robot.motor_names.index(joint) for joint in made.joints]
     pose = np.empty(count)
     pose[order] = made.default_pose
-    # In rl_sar, base.yaml has the motors in the order of the hardware, and config.yaml in that of the policy.
+    # In rl_sar, base.yaml has the motors in the hardware's order, and config.yaml in the policy's order.
     base: dict[str, object] = {
         "dt": made.control_step / decimation,
         "decimation": decimation,

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from surefoot.api.policies import find_policy, open_policy
 from surefoot.check_result import CheckResult
-from surefoot.cli.helpers.link_options import LinkOptions, close_link
+from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import (
     PLACES,
     Json,
@@ -26,11 +26,12 @@ from surefoot.cli.helpers.options import (
     changed_option,
     check_terminal,
 )
-from surefoot.cli.helpers.output import make_console, print_json
+from surefoot.cli.helpers.output import make_console, print_json, print_warning
 from surefoot.cli.helpers.parsing import parse
 from surefoot.configuration import Within
 from surefoot.deploy.doctor.examination import STEPS, examine
 from surefoot.deploy.doctor.link_check import PINGS
+from surefoot.deploy.robot_link import close_link
 from surefoot.errors import SurefootError
 
 FAILED = 3
@@ -97,7 +98,7 @@ def main(argv: list[str]) -> int:
             if not command.json:
                 print_result(console, result)
     finally:
-        close_link(link)
+        close_link(link, print_warning)
     counts = Counter(result.passed for result in results)
     if command.json:
         data = {

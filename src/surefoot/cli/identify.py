@@ -13,7 +13,15 @@ from pathlib import Path
 from surefoot.cli.helpers.identify_logs import TracesCommand, identify_from_logs, new_folder
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment, show_plan
 from surefoot.cli.helpers.options import changed_option, check_folder, check_suffix
-from surefoot.cli.helpers.output import Actions, make_console, next_command, print_json, run_action, table_lines
+from surefoot.cli.helpers.output import (
+    Actions,
+    make_console,
+    next_command,
+    print_json,
+    print_warning,
+    run_action,
+    table_lines,
+)
 from surefoot.cli.helpers.parsing import parse
 from surefoot.errors import SurefootError, suggest
 from surefoot.identify.recording import COMPLETE, Recording, load_recording, recorded_robot
@@ -204,10 +212,9 @@ def _warn_of_missing(command: ExperimentCommand, experiment: Experiment, prior: 
     """Print a warning if experiments that should precede this one are missing."""
     if missing := missing_experiments(prior, experiment.prerequisites):
         where = f"{command.params} has no results of it" if command.params is not None else "--params FILE is not given"
-        print(
-            f"surefoot: warning: {experiment.name} should be run after {' and '.join(missing)}, but {where}; the "
-            "parameters of the data sheet are used",
-            file=sys.stderr,
+        print_warning(
+            f"{experiment.name} should be run after {' and '.join(missing)}, but {where}; the parameters of the data "
+            "sheet are used"
         )
 
 

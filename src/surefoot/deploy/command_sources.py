@@ -66,7 +66,7 @@ class FileCommands:
         """Duration of the schedule [s]."""
 
     def start(self) -> None:
-        """Do nothing: times are those of the run."""
+        """Do nothing: a file's times count from the beginning of each run."""
 
     def read(self, moment: float) -> Array:
         """Return the command (3,) at a moment [s] of the run."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -17,7 +16,7 @@ from surefoot.deploy.messages import Handshake, State
 from surefoot.deploy.motion_runner import MotionRunner
 from surefoot.deploy.pacer import LoopTiming
 from surefoot.deploy.recorder import Recorder
-from surefoot.deploy.robot_link import LinkLostError, RobotLink
+from surefoot.deploy.robot_link import LinkLostError, RobotLink, close_link
 from surefoot.deploy.safety import GO, Act, Verdict
 from surefoot.deploy.speedometer import Speedometer
 from surefoot.errors import SurefootError, prefix_errors
@@ -218,7 +217,7 @@ class Deployment:
         controller.reset(self.link.lead)
         if self.commands is not None:
             self.commands.start()
-        speedometer, shown, has_begun = None, 0, False
+        speedometer, shown = None, 0
         if self.monitor.shows_speed:
             speedometer = Speedometer(self.robot, self.contract.control_step, self.link.lead)
         clamped = ""
@@ -238,10 +237,9 @@ class Deployment:
             return target
 
         def after(k: int, state: State, computed: bool) -> None:
-            nonlocal shown, has_begun
-            if not has_begun:  # a computer that is late misses the first steps
+            nonlocal shown
+            if math.isnan(recorder.start):  # not always at step 0: a computer that is late misses the first steps
                 recorder.begin(state, loop.pacer.due(0) - self.link.sync.offset)
-                has_begun = True
             if speedometer is not None:
                 speedometer.update(state, max(k - shown, 1))
                 shown, loop.speed = k, (*speedometer.velocity.tolist(), speedometer.distance)
@@ -281,11 +279,7 @@ class Deployment:
 
     def close(self) -> None:
         """End the session and close the link."""
-        try:
-            with contextlib.suppress(LinkLostError, OSError):
-                self.link.close()
-        except SurefootError as error:  # a Go2's own controller was not activated; the run has its outcome
-            self.monitor.warn(str(error))
+        close_link(self.link, self.monitor.warn)
 
 
 def _outcome(verdict: Verdict) -> RunOutcome:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import secrets
 from abc import ABC, abstractmethod
@@ -272,3 +273,12 @@ class RobotLink(ABC):
             if each is not None:
                 each()
             self.clock.wait_until(min(self.clock.now() + _POLL_PERIOD, end))
+
+
+def close_link(link: RobotLink, warn: Callable[[str], object]) -> None:
+    """Close a link whose session has its result: a Go2's own controller that is not activated is a warning."""
+    try:
+        with contextlib.suppress(LinkLostError, OSError):
+            link.close()
+    except SurefootError as error:
+        warn(str(error))

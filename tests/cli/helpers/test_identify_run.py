@@ -11,8 +11,9 @@ import pytest
 
 from surefoot.cli.helpers import link_options
 from surefoot.cli.helpers.identify_run import ExperimentCommand, run_experiment
-from surefoot.cli.helpers.link_options import close_link
+from surefoot.cli.helpers.output import print_warning
 from surefoot.cli.identify import _check_options
+from surefoot.deploy.robot_link import close_link
 from surefoot.errors import SurefootError
 from surefoot.robot import RobotDescription
 
@@ -59,7 +60,7 @@ def test_a_go2_that_is_not_given_back_is_a_warning(capsys: pytest.CaptureFixture
     def close() -> None:
         raise SurefootError("--hand-back: the robot does not lie still; its controller is not activated")
 
-    close_link(SimpleNamespace(close=close))  # type: ignore[arg-type]
+    close_link(SimpleNamespace(close=close), print_warning)  # type: ignore[arg-type]
     assert capsys.readouterr().err.startswith("surefoot: warning: --hand-back: the robot does not lie still")
 
 

@@ -36,10 +36,8 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
             if isinstance(name, str) and name not in get_args(TermName) and (reason := unmeasured_reason(name)):
                 where = f"observations[{place}].term is {quote(name)}, which {reason}"
                 raise SurefootError(f"{where}; {unmeasured_remedy(reason)}")
-        stated = {name for name in COMMANDS if name in table}
-        return from_mapping(
-            PolicySpecification, {**table, **{name: overrides[name] for name in overrides if name not in stated}}
-        )
+        stated = {name: table[name] for name in COMMANDS if name in table}
+        return from_mapping(PolicySpecification, {**table, **overrides, **stated})
 
 
 def write(path: Path, specification: PolicySpecification) -> None:

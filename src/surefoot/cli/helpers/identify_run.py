@@ -14,15 +14,15 @@ from rich.text import Text
 
 from surefoot.arrays import Array
 from surefoot.check_result import first_failure
-from surefoot.cli.helpers.link_options import LinkOptions, close_link
+from surefoot.cli.helpers.link_options import LinkOptions
 from surefoot.cli.helpers.options import PLACES, Json, Settings, Yes, ask_to_move, check_terminal
-from surefoot.cli.helpers.output import make_console
+from surefoot.cli.helpers.output import make_console, print_warning
 from surefoot.deploy.checks import check_handshake
 from surefoot.deploy.display import PlainLines, open_display
 from surefoot.deploy.loop import RunMonitor, Snapshot
 from surefoot.deploy.messages import Handshake
 from surefoot.deploy.pacer import real_time_priority
-from surefoot.deploy.robot_link import LinkLostError, RobotLink
+from surefoot.deploy.robot_link import LinkLostError, RobotLink, close_link
 from surefoot.errors import SurefootError
 from surefoot.identify.experiment_runner import run_plan
 from surefoot.identify.plan import Plan
@@ -115,7 +115,7 @@ def _connect(command: ExperimentCommand, robot: RobotDescription) -> Iterator[tu
         check_robot(handshake, robot)
         yield link, handshake
     finally:
-        close_link(link)
+        close_link(link, print_warning)
 
 
 def check_robot(handshake: Handshake, robot: RobotDescription) -> None:

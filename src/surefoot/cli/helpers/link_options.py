@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import sys
 from dataclasses import dataclass, fields
 from typing import Annotated, Literal
@@ -14,7 +13,7 @@ from surefoot.cli.helpers.options import Port, ask_to_release, changed_option
 from surefoot.configuration import Within
 from surefoot.deploy.checks import WATCHDOG_STEPS
 from surefoot.deploy.links import open_dds_link, open_link
-from surefoot.deploy.robot_link import LinkLostError, RobotLink
+from surefoot.deploy.robot_link import RobotLink
 from surefoot.deploy.serial.port import BAUD
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import Contract
@@ -98,12 +97,3 @@ class LinkOptions(SerialOptions):
             return self.release or (may_ask and sys.stdin.isatty() and ask_to_release(name))
 
         return open_dds_link(robot, str(self.interface), self.domain, gains, silence, release, self.hand_back)
-
-
-def close_link(link: RobotLink) -> None:
-    """Close a link at the end of a command, which has its result: what fails now is a warning."""
-    try:
-        with contextlib.suppress(LinkLostError, OSError):
-            link.close()
-    except SurefootError as error:  # a Go2's own controller was not activated
-        print(f"surefoot: warning: {error}", file=sys.stderr)

@@ -33,6 +33,11 @@ def make_console(stderr: bool = False) -> Console:
     return Console(stderr=stderr, highlight=False, soft_wrap=True, emoji=False, markup=False)
 
 
+def print_warning(text: str) -> None:
+    """Print a warning to standard error."""
+    print(f"surefoot: warning: {text}", file=sys.stderr)
+
+
 def print_json(result: Mapping[str, object]) -> None:
     """Print a result as one JSON object; numbers that are not finite become null."""
     print(json.dumps(_plain(result)), flush=True)

@@ -164,15 +164,13 @@ def find_imu_yaw(robot: RobotDescription, motions: Sequence[RecordedMotion], pri
         for one in motions
         if not one.rack and np.isfinite(one.imu[:, :2]).all(axis=1).any()
     ]
-    measured = [np.isfinite(one.imu[:, :2]).all(axis=1) for one in standing]
-    if not any(rows.any() for rows in measured) or len(yaws) < 2:
+    measured = [(one, rows) for one in standing if (rows := np.isfinite(one.imu[:, :2]).all(axis=1)).any()]
+    if not measured or len(yaws) < 2:
         return None
     candidates = prior.rows(np.zeros(len(yaws), np.int64))
     candidates.imu_mount[:, 2] = yaws
     replayer, cost = Replayer(robot, len(yaws), rack=False, torques=False), np.zeros(len(yaws))
-    for motion, rows in zip(standing, measured, strict=True):
-        if not rows.any():
-            continue
+    for motion, rows in measured:
         readings = imu_channels(replayer.run(segment_from_motion(motion, robot), candidates))
         cost += np.nan_to_num(np.sum((readings - motion.imu)[:, rows, :2] ** 2, axis=(1, 2)), nan=np.inf)
     return yaws[int(np.argmin(cost))]
