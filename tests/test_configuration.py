@@ -221,6 +221,7 @@ def test_a_quoted_value_is_shortened():
     for value in (bomb, {"a": bomb}, "x" * 10**6, 10**4000, list(range(10**5))):
         assert len(quote(value)) < 300
     assert quote([0, 1.5, "a"]) == "[0, 1.5, 'a']"
+    assert quote(16**4000) == "a number of too many digits"
 
 
 def test_a_configuration_must_be_a_regular_file_of_limited_size(tmp_path: Path):

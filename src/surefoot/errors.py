@@ -53,7 +53,10 @@ _QUOTES.maxlong = 40
 
 def quote(value: Any) -> str:
     """Return a value's `repr` for error messages, shortened if it is long or deeply nested."""
-    text = _QUOTES.repr(value)
+    try:
+        text = _QUOTES.repr(value)
+    except ValueError:  # Python writes integers of at most 4300 digits
+        text = "a number of too many digits"
     return text if len(text) <= 200 else f"{text[:200]}..."
 
 

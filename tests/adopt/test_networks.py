@@ -223,9 +223,37 @@ def repeated(model):
     add_node("Gather", ["long", "index"], ["big"])(model)
 
 
+def many_slices(model):
+    """A wide value, and parts of it, each of which takes a matrix of a million numbers."""
+    for name, numbers in (("wide", [1, 1024]), ("from", [0]), ("to", [1024]), ("axis", [1])):
+        model.graph.initializer.append(numpy_helper.from_array(np.array(numbers, np.int64), name))
+    model.graph.initializer.append(numpy_helper.from_array(np.zeros((45, 1), np.float32), "one"))
+    add_node("MatMul", ["obs", "one"], ["narrow"])(model)
+    add_node("Expand", ["narrow", "wide"], ["broad"])(model)
+    for k in range(40):
+        add_node("Slice", ["broad", "from", "to", "axis"], [f"part{k}"])(model)
+
+
+def many_sums(model):
+    for name, shape in (("row", (1, 2000)), ("column", (2000, 1))):
+        model.graph.initializer.append(numpy_helper.from_array(np.zeros(shape, np.float32), name))
+    for k in range(20):
+        add_node("Add", ["row", "column"], [f"sum{k}"])(model)
+
+
+def endless_row(model):
+    model.graph.initializer.append(numpy_helper.from_array(np.array([1, 10**13], np.int64), "wide"))
+    model.graph.initializer.append(numpy_helper.from_array(np.zeros((45, 1), np.float32), "one"))
+    add_node("MatMul", ["obs", "one"], ["narrow"])(model)
+    add_node("Expand", ["narrow", "wide"], ["broad"])(model)
+
+
 @pytest.mark.parametrize(
     ("data", "message"),
     [
+        (changed(many_slices), "the network needs constants of over 16777216 numbers"),
+        (changed(many_sums), "the network computes over 16777216 constant numbers"),
+        (changed(endless_row), "operator Expand in an unsupported way: it makes 10000000000000 numbers"),
         (changed(cut), "of the network can't be read"),
         (changed(other_type), "of the network can't be read"),
         (changed(outer_sum), "operator Add in an unsupported way: it makes 25000000 numbers"),

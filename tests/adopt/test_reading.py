@@ -141,6 +141,50 @@ Config.control.decimation = 8 // 2
     assert isinstance(values["sim.dt"], Computed)
 
 
+def test_values_that_are_changed_in_place_are_computed():
+    values = read_classes(
+        b"""
+class Config:
+    class control:
+        stiffness = {"hip": 20.0}
+        stiffness["calf"] = 40.0
+        damping = {"hip": 0.5}
+        damping.update({"calf": 1.0})
+        action_scale, decimation = 0.25, 8
+        gains = {"hip": [1.0]}
+        gains["hip"].append(2.0)
+        kept = stiffness.get("hip")
+        other = {"hip": 1.0}
+    class init_state:
+        default_joint_angles = {"hip": 0.1}
+        for joint in default_joint_angles:
+            default_joint_angles[joint] = 0.0
+Config.control.other["calf"] = 2.0
+Config.noise.scale.update(a=1)
+""",
+        (),
+    )
+    names = ("stiffness", "damping", "action_scale", "decimation", "gains", "kept", "other")
+    for name in (*(f"control.{one}" for one in names), "init_state.default_joint_angles", "noise.scale"):
+        assert isinstance(values[name], Computed), name
+    assert values["control.stiffness"].text == "stiffness['calf'] = 40.0"
+
+
+def test_a_read_does_not_make_a_value_computed():
+    values = read_classes(
+        b"class C:\n    class a:\n        x = {'k': 1}\n        y = x.copy()\n        print(x['k'])\n", ()
+    )
+    assert values["a.x"] == {"k": 1}
+
+
+def test_options_replace_values_that_cannot_be_read(take):
+    gym = GYM.replace('{"joint": 25.0}', "gains()").replace('{"joint": 0.5}', '{"joint": 1, "calf": 2}')
+    gym += "    class commands:\n        class ranges:\n            lin_vel_x = limits()\n"
+    assert "control.stiffness is computed" in rejection(take, "legged_gym", gym)
+    specification = take("legged_gym", gym, kp=30.0, kd=1.0, forward=(-0.5, 0.8))
+    assert (specification.kp, specification.kd, specification.forward) == (30.0, 1.0, (-0.5, 0.8))
+
+
 def test_computed_values_are_rejected(take):
     assert take("legged_gym", GYM.replace("= 0.25", "= 0.5 * 0.5")) == take("legged_gym", GYM)
     message = rejection(take, "legged_gym", GYM.replace("= 0.25", "= scale()"))

@@ -14,7 +14,7 @@ pytest.importorskip("mujoco")
 from short_experiments import short_plan
 
 from surefoot.errors import SurefootError
-from surefoot.identify.rack.model import fit_on_rack, moving_legs, rack_estimates, rack_unknowns
+from surefoot.identify.rack.model import fit_on_rack, moving_legs, pwm_readings, rack_estimates, rack_unknowns
 from surefoot.identify.recording import Recording
 from surefoot.identify.registry import EXPERIMENTS
 from surefoot.identify.replay import segment_from_recording
@@ -97,6 +97,12 @@ def test_motor_experiment_identifies_a_limit_of_the_current(
     for item in (item for item in limited.estimates if item.name == "motor_strength"):
         assert item.value == pytest.approx(true["motor_strength"], rel=5e-3)
     assert any("above a net voltage of 4.0 V" in note for note in limited.notes)
+    # With a lead of the readings the same speeds belong to the same torques.
+    led = replace(recording, meta={**recording.meta, "lead": 0.005})
+    segment, late = segment_from_recording(recording, 1, 2), segment_from_recording(led, 1, 2)
+    motors, latency = np.arange(robot.num_motors), float(nominal.control_latency[0])
+    speed = pwm_readings(robot, recording, segment, motors, latency)[2]
+    np.testing.assert_allclose(pwm_readings(robot, led, late, motors, latency + 0.005)[2], speed, atol=1e-9)
     assert not any("description allows" in note for note in limited.notes)
     # For a robot without a limit the recording says up to where there is none.
     assert "voltage_clip" not in [item.name for item in motors.estimates]

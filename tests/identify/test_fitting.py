@@ -257,3 +257,11 @@ def test_considered_unknowns_widen_intervals_and_are_never_fitted():
     restricted = sharp.restrict(np.array([True, False]), np.zeros(2))
     exact = hold_unidentifiable(sharp, fit_least_squares(restricted), [considered])
     assert exact.deviation[0] < 0.01
+
+
+def test_an_unknown_with_equal_bounds_is_rejected():
+    pinned = unknown("servo_latency", 0.003, low=0.003, high=0.003)
+    with pytest.raises(
+        SurefootError, match=r"servo_latency can't be fitted between 0.003 and 0.003; widen \[allowed\]"
+    ):
+        fit_least_squares(Linear(np.ones((3, 1)), np.ones(3), [pinned]))

@@ -176,3 +176,10 @@ def test_tolerable_defects_are_noted(recorded: Recording, robot: RobotDescriptio
     noise = np.random.default_rng(0).normal(0.0, 5e-4, len(recorded.time))
     (note,) = check_recording(column(recorded, "motor_angle", 5, lambda x: 1.7 + noise), robot)
     assert note.startswith(f"{robot.motor_names[5]} never moves (its angle varies by less than 2 mrad)")
+
+
+def test_a_gyro_that_is_not_read_is_rejected_on_the_ground(recorded: Recording, robot: RobotDescription):
+    silent = column(recorded, "angular_velocity_base", 1, np.zeros_like)
+    assert check_recording(silent, robot) == ()  # the rack does not turn
+    message = rejected(with_meta(silent, rack=False), robot)
+    assert message.endswith("the IMU's pitch rate is always 0 rad/s; is its gyro read?")

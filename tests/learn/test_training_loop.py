@@ -97,6 +97,18 @@ def test_the_table_of_a_reference_is_copied_into_the_run(tmp_path: Path) -> None
     assert len(again.make(RobotDescription.load("minitaur")).rows) == 3
 
 
+def test_a_height_map_is_copied_into_the_run(tmp_path: Path) -> None:
+    np.savez(tmp_path / "hills.npz", heights=np.zeros((3, 3)), cell=1.0)
+    config = from_mapping(
+        TrainConfig, {"task": {"terrain": {"ground": str(tmp_path / "hills.npz")}}}, base=tiny_config()
+    )
+    path = RunFolder.create(config, tmp_path).path.rename(tmp_path / "moved")
+    (tmp_path / "hills.npz").unlink()
+    ground = RunFolder.open(path)[1].task.terrain.ground
+    assert ground == str(path / "ground.npz")
+    assert Path(ground).is_file()
+
+
 def test_another_seed_gives_another_policy(whole: TrainingLoop, tmp_path: Path) -> None:
     other = train(tmp_path, tiny_config(seed=1), stop_after=1)
     assert other.folder.rows()[0]["std_mean"] != whole.folder.rows()[0]["std_mean"]

@@ -243,6 +243,20 @@ def test_start_from_rejects_a_task_without_an_observation_that_the_policy_needs(
         TrainingLoop.create(config, RunFolder.create(config, tmp_path), SimWorld)
 
 
+def test_start_from_allows_a_limit_of_a_new_reward_term(whole: TrainingLoop, tmp_path: Path) -> None:
+    task = {"reward": {"forward_speed": 0.5}, "reward_limits": {"forward_speed": 0.4}}
+    config = tiny_config(start_from=str(whole.folder.path), task=task)
+    assert "forward_speed" not in whole.config.task.reward
+    loop = TrainingLoop.create(config, RunFolder.create(config, tmp_path), SimWorld)
+    assert loop.learner.env.task.reward_limits == {"forward_speed": 0.4}
+
+
+def test_start_from_rejects_other_actions(whole: TrainingLoop, tmp_path: Path) -> None:
+    config = tiny_config(start_from=str(whole.folder.path), task={"memory": 2})
+    with pytest.raises(SurefootError, match="start_from: the other run's memory is 0, this run's 2; they must be"):
+        TrainingLoop.create(config, RunFolder.create(config, tmp_path), SimWorld)
+
+
 def test_a_policy_gives_the_same_feedback_between_other_bounds(whole: TrainingLoop, tmp_path: Path) -> None:
     task = {"feedback": {"swing": [-0.6, 0.4], "extension": [-0.3, 0.3]}}
     config = tiny_config(start_from=str(whole.folder.path), steps=256, task=task)

@@ -142,6 +142,8 @@ def test_a_command_file_is_read(tmp_path: Path) -> None:
     file = tmp_path / "commands.csv"
     file.write_text("time,forward,sideways,yaw_rate\n0,0.5,0,0\n\n2,0,0,1\n")
     assert read_schedule(file) == ((0.0, 0.5, 0.0, 0.0), (2.0, 0.0, 0.0, 1.0))
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())  # as Excel writes it
+    assert len(read_schedule(file)) == 2
 
 
 @pytest.mark.parametrize(

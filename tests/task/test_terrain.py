@@ -220,3 +220,18 @@ def test_friction_is_random_for_patches_up_to_the_border():
     assert level.friction.shape == (40, 40)
     with pytest.raises(SurefootError, match="the smaller factor must come first"):
         TerrainConfig(friction=(1.2, 0.4))
+
+
+def test_the_curriculum_sees_a_fall_without_autoreset(monkeypatch: pytest.MonkeyPatch):
+    task, _ = load_task("go2-steer")
+    env = LocomotionEnv(replace(task, terrain=FIELD), 4, find_world("mujoco"), 0, autoreset=False, threads=1)
+    env.reset()
+    begin, fallen = TerrainCurriculum.begin, []
+    monkeypatch.setattr(
+        TerrainCurriculum, "begin", lambda self, rows, fell: fallen.append(fell.tolist()) or begin(self, rows, fell)
+    )
+    # As after the last step of four episodes, two of which ended in a fall.
+    env.state.terminated, env.state.over[:] = np.array([True, False, False, True]), True
+    env.reset()
+    assert fallen == [[True, False, False, True]]
+    assert not env.state.terminated.any()

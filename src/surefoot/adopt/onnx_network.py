@@ -20,7 +20,7 @@ from surefoot.adopt.onnx_weights import constant_tensors
 from surefoot.arrays import Array
 from surefoot.errors import SurefootError, choices, quote
 from surefoot.native_output import stdout_to_stderr
-from surefoot.policy.graph import Graph, Value
+from surefoot.policy.graph import MAX_CONSTANTS, Graph, Value
 from surefoot.policy.network import MAX_BYTES
 
 MAX_NODES = 2000
@@ -76,8 +76,12 @@ class OnnxNetwork:
         source = self.model.graph
         items: dict[str, Item] = {tensor.name: _read_constant(tensor) for tensor in source.initializer}
         items |= {one.name: value for one, value in zip(self._inputs, [observation, *hidden], strict=True)}
+        numbers = 0
         for node in source.node:
             _translate(graph, node, items)
+            numbers += sum(np.size(item) for name in node.output if not isinstance(item := items.get(name), Value))
+            if numbers > MAX_CONSTANTS:
+                raise SurefootError(f"the network computes over {MAX_CONSTANTS} constant numbers; a policy has fewer")
         results = []
         for output in source.output[: len(self._inputs)]:
             item = items.get(output.name)
@@ -404,6 +408,7 @@ def _expand(graph: Graph, inputs: list[Any], _: dict[str, Any]) -> Sequence[Item
     value, width = _value(inputs[0]), int(np.ravel(_constant(inputs[1]))[-1])
     if width in (1, value.width):
         return [value]
+    _check_size((width,))
     return [_linear(graph, value, np.ones((1, width)))]
 
 

@@ -121,9 +121,13 @@ def fit_least_squares(
         report: callback with the number of each iteration and the mean squared residual.
 
     Raises:
-        SurefootError: residuals are not finite at the initial values.
+        SurefootError: an unknown has equal bounds, or residuals are not finite at the initial values.
     """
     unknowns = tuple(model.unknowns)
+    if pinned := next((u for u in unknowns if not u.low < u.high), None):
+        raise SurefootError(
+            f"{pinned.label} can't be fitted between {pinned.low:g} and {pinned.high:g}; widen [allowed] in robot.toml"
+        )
     scale, low, high, starts = (
         np.array([getattr(u, name) for u in unknowns]) for name in ("step", "low", "high", "start")
     )

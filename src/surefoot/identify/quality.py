@@ -134,6 +134,9 @@ def _check_readings(recording: Recording, robot: RobotDescription) -> None:
     moved, driven = _driven_motors(recording)
     phases = [recording.phase_states(k) for k in recording.phases("fit", "check")]
     fitted = np.concatenate([np.arange(part.start, part.stop) for part in phases]) if phases else np.arange(0)
+    pitch_rate = recording.angular_velocity_base[fitted, 1]
+    if not recording.meta["rack"] and len(fitted) and np.ptp(pitch_rate) == 0:
+        raise _error(f"the IMU's pitch rate is always {pitch_rate[0]:g} rad/s; is its gyro read?")
     for motor in sorted(set(range(recording.num_motors)) - recording.still_motors):
         name, angle, torque = (
             robot.motor_names[motor],

@@ -12,16 +12,19 @@ from surefoot.learn.config import TrainConfig
 from surefoot.robot import RobotDescription
 from surefoot.robot.archive import copy_robot
 from surefoot.task.reference_config import REFERENCES, TableReferenceConfig
+from surefoot.world.terrain import is_map
 
 ROBOT = "robot"
 """Folder with a copy of a robot that does not ship with surefoot, also the value of `task.robot` in the file."""
 _CONFIG = "config.yaml"
 _TABLE = "reference"
 """File name without suffix of the copy of a reference table, also of the value of `task.reference.file`."""
+_MAP = "ground"
+"""File name without suffix of the copy of a height map, also of the value of `task.terrain.ground`."""
 
 
 def write_run_config(config: TrainConfig, folder: Path) -> None:
-    """Write the configuration of a run, with copies of its reference table and its robot, unless that ships.
+    """Write the configuration of a run, with copies of its reference table, height map, and robot unless that ships.
 
     Raises:
         OSError: a file can't be written or read.
@@ -35,6 +38,10 @@ def write_run_config(config: TrainConfig, folder: Path) -> None:
         name = f"{_TABLE}{Path(file).suffix}"
         atomic_write(folder / name, Path(file).read_bytes())
         task = replace(task, reference=replace(task.reference, file=name))
+    if is_map(ground := task.terrain.ground):
+        name = f"{_MAP}{Path(ground).suffix}"
+        atomic_write(folder / name, Path(ground).read_bytes())
+        task = replace(task, terrain=replace(task.terrain, ground=name))
     write_yaml(folder / _CONFIG, replace(config, task=task))
 
 
@@ -49,15 +56,26 @@ def read_run_config(folder: Path) -> TrainConfig:
     if task.robot == ROBOT and (here / ROBOT).is_dir():
         task = replace(task, robot=str(here / ROBOT))
     file = task.reference.file or ""
-    is_copy = Path(file).stem == file.rpartition(".")[0] == _TABLE and (here / file).is_file()
-    if is_copy and isinstance(task.reference, TableReferenceConfig):
+    if _is_copy(here, file, _TABLE) and isinstance(task.reference, TableReferenceConfig):
         task = replace(task, reference=replace(task.reference, file=str(here / file)))
+    if _is_copy(here, task.terrain.ground, _MAP):
+        task = replace(task, terrain=replace(task.terrain, ground=str(here / task.terrain.ground)))
     return replace(config, task=task)
+
+
+def _is_copy(folder: Path, file: str, stem: str) -> bool:
+    """Return whether a path in a run's configuration is that of the copy with a given name in its folder."""
+    return Path(file).stem == file.rpartition(".")[0] == stem and (folder / file).is_file()
 
 
 def copied_files(folder: Path) -> list[str]:
     """Return the names of the copied files in a run folder."""
-    paths = [path for pattern in (f"{ROBOT}/**/*", f"{_TABLE}.*") for path in folder.glob(pattern) if path.is_file()]
+    paths = [
+        path
+        for pattern in (f"{ROBOT}/**/*", f"{_TABLE}.*", f"{_MAP}.*")
+        for path in folder.glob(pattern)
+        if path.is_file()
+    ]
     return sorted(path.relative_to(folder).as_posix() for path in paths)
 
 

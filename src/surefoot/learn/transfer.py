@@ -31,8 +31,7 @@ NETWORK_FIELDS = (
     "reward",  # a weight of foothold_error requires a reference with footholds
 )
 """Fields of a task that affect the inputs of networks or the meaning of their outputs, and that may differ in a warm
-start. The robot, the action, the memory and the commands also do, but are assumed to be the same as in the other
-run."""
+start. The action and the memory must be the same as in the other run; the robot and the commands are assumed to be."""
 
 Parameters = Mapping[str, torch.Tensor]
 """Parameters of a network, by name."""
@@ -65,7 +64,11 @@ def warm_start(learner: PpoLearner, path: Path, make_world: SimulationFactory) -
     """
     config, env, algorithm = learner.config, learner.env, learner.algorithm
     folder, former = RunFolder.open(path)
-    task = replace(config.task, **{name: getattr(former.task, name) for name in NETWORK_FIELDS})
+    for name in ("action", "memory"):
+        before, now = getattr(former.task, name), getattr(config.task, name)
+        if before != now:
+            raise SurefootError(f"start_from: the other run's {name} is {before}, this run's {now}; they must be equal")
+    task = replace(config.task, reward_limits={}, **{name: getattr(former.task, name) for name in NETWORK_FIELDS})
     other, state, fresh = LocomotionEnv(task, 1, make_world, threads=1), folder.load(), algorithm.save()
     old, new = (network_inputs(one, config.ppo.privileged_critic) for one in (other, env))
     for age, name in old["actor"]:

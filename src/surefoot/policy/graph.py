@@ -11,12 +11,15 @@ import onnx
 from numpy.typing import ArrayLike
 from onnx import TensorProto, helper, numpy_helper
 
+from surefoot.errors import SurefootError
 from surefoot.policy.contract import METADATA_KEY, Contract
 from surefoot.policy.digest import ROBOT_KEY
 from surefoot.policy.network import INPUT, OPSET, OUTPUT
 
 IR_VERSION = 8
 MAX_FLOAT = float(np.finfo(np.float32).max)
+MAX_CONSTANTS = 1 << 24
+"""Numbers in all constants of a graph, 64 MiB; a network that is translated may need many to select columns."""
 
 
 class Value(NamedTuple):
@@ -32,10 +35,13 @@ class Graph:
     def __init__(self) -> None:
         self.nodes: list[onnx.NodeProto] = []
         self.constants: list[onnx.TensorProto] = []
+        self._numbers = 0
 
     def constant(self, array: Any, name: str = "") -> str:
         """Add a constant of 32-bit floats and return its name."""
         name = name or f"constant_{len(self.constants)}"
+        self._check_room(np.size(array))
+        self._numbers += np.size(array)
         self.constants.append(numpy_helper.from_array(np.ascontiguousarray(array, np.float32), name))
         return name
 
@@ -44,6 +50,11 @@ class Graph:
         result = result or f"{kind.lower()}_{len(self.nodes)}"
         self.nodes.append(helper.make_node(kind, values, [result], **attributes))
         return result
+
+    def _check_room(self, numbers: int) -> None:
+        """Reject constants with too many numbers, before they are made."""
+        if self._numbers + numbers > MAX_CONSTANTS:
+            raise SurefootError(f"the network needs constants of over {MAX_CONSTANTS} numbers; a policy has fewer")
 
     def linear(self, value: str, weight: ArrayLike, offset: ArrayLike | None = None) -> Value:
         """Apply a linear layer with a weight (in, out) and an offset (out,)."""
@@ -54,6 +65,7 @@ class Graph:
 
     def select(self, value: Value, columns: Sequence[int]) -> Value:
         """Select columns of a value, in the given order."""
+        self._check_room(value.width * len(columns))
         weight = np.zeros((value.width, len(columns)))
         weight[columns, np.arange(len(columns))] = 1.0
         return self.linear(value.name, weight)
@@ -65,6 +77,7 @@ class Graph:
         width, start = sum(value.width for value in values), 0
         names = []
         for value in values:
+            self._check_room(value.width * width)
             names.append(self.linear(value.name, np.eye(value.width, width, start)).name)
             start += value.width
         total = names[0]

@@ -127,7 +127,7 @@ def read_schedule(path: Path) -> tuple[tuple[float, float, float, float], ...]:
     rule = f"a command file is CSV with the columns {', '.join(names)}"
     with describe_os_errors(f"commands {path}"):
         check_readable(path, _MAX_FILE_SIZE)
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = path.read_text(encoding="utf-8-sig", errors="replace")  # Excel begins its files with a mark
     with prefix_errors(f"commands {path}"):
         try:
             header, *rows = list(csv.reader(text.splitlines())) or [[]]

@@ -23,6 +23,7 @@ from surefoot.task.reference_config import REFERENCES, NoReferenceConfig, Refere
 from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
 from surefoot.task.terrain import TerrainConfig
 from surefoot.world.interface import MAX_PHYSICS_STEP
+from surefoot.world.terrain import is_map
 
 _PRESETS = Path(__file__).parent / "presets"
 
@@ -228,6 +229,8 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
         # The path of a table is relative to the task file.
         absolute = str((path.parent / config.reference.file).resolve())
         config = from_mapping(TaskConfig, {"reference": {"file": absolute}}, base=config)
+    if is_map(ground := config.terrain.ground) and (own := path.parent / ground).is_file():
+        config = replace(config, terrain=replace(config.terrain, ground=str(own.resolve())))
     return config, train
 
 

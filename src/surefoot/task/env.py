@@ -139,8 +139,10 @@ class LocomotionEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], Any]):
         if seed is not None:
             self._make(seed)
         else:
-            self.state.terminated = np.zeros(self.num_envs, np.bool_)
+            # Without autoreset, robots that fell are still over, and the terrain's curriculum wants to know it.
+            self.state.terminated = self.state.terminated & self.state.over
             self._start(rows)
+            self.state.terminated = np.zeros(self.num_envs, np.bool_)
         return self._observation(), {}
 
     def step(

@@ -9,6 +9,8 @@ import pytest
 
 pytest.importorskip("mujoco")
 
+from surefoot.errors import SurefootError
+from surefoot.identify.ground.fits import _weight
 from surefoot.identify.ground.motion import (
     STEP,
     TILT_TIME_CONSTANT,
@@ -17,6 +19,7 @@ from surefoot.identify.ground.motion import (
     _smooth,
     _torque_excess,
     block_deviation,
+    ground_motion,
     regress,
 )
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -110,3 +113,17 @@ def test_mean_torque_exceeds_the_report_after_a_command(robot: RobotDescription)
     # A still motor has equal torques in both steps.
     still = SimpleNamespace(**vars(recording) | {"motor_angle": turning * 0, "motor_velocity": turning * 0})
     np.testing.assert_allclose(_torque_excess(robot, still, nominal, 0.0)[20:], 0.0, atol=1e-12)
+
+
+def test_the_weight_is_the_force_along_a_tilted_vertical_over_its_cosine():
+    # 100 N carried by a base with roll 0.3 and pitch 0.2 is 100 cos 0.3 cos 0.2 N along its own vertical.
+    share = 100.0 * np.cos(0.3) * np.cos(0.2) / 4
+    standing = SimpleNamespace(motion=SimpleNamespace(roll_pitch=np.array([[0.3, 0.2], [0.0, 0.0]])))
+    forces = SimpleNamespace(force=np.array([[[0.0, share]] * 4, [[0.0, 25.0]] * 4]))
+    np.testing.assert_allclose(_weight(standing, forces, np.array([True, True])), 100.0)
+
+
+def test_ground_experiments_need_the_readings_of_all_motors(robot: RobotDescription):
+    recording = SimpleNamespace(still_motors=frozenset({2}))
+    with pytest.raises(SurefootError, match=f"{robot.motor_names[2]} never moves, but foot forces need"):
+        ground_motion(robot, recording, PhysicalParams.nominal(robot), {})

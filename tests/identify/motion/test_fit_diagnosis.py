@@ -55,3 +55,13 @@ def test_wrong_signs_and_orders_are_named(pupper: RobotDescription, log: Recorde
     reason, *hints = diagnose_fit(pupper, [replace(log, motor_angle=angles)], PhysicalParams.nominal(pupper))
     assert reason.startswith("the fitted robot does not reproduce these logs")
     assert first in hints
+
+
+def test_a_log_without_angles_does_not_hide_a_bad_fit(pupper: RobotDescription, log: RecordedMotion):
+    angles = log.motor_angle.copy()
+    angles[:, [1, 4]] = angles[:, [4, 1]]
+    bad, blind = replace(log, motor_angle=angles), replace(log, motor_angle=np.full_like(angles, np.nan))
+    nominal = PhysicalParams.nominal(pupper)
+    assert diagnose_fit(pupper, [bad, blind], nominal)[0].startswith("the fitted robot does not reproduce these logs")
+    assert diagnose_fit(pupper, [blind, bad], nominal) == diagnose_fit(pupper, [bad, blind], nominal)
+    assert diagnose_fit(pupper, [blind], nominal) == ()

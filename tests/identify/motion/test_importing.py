@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import pickle
 from pathlib import Path
@@ -176,6 +177,16 @@ def billion() -> list[object]:
     return made
 
 
+class Encoded:
+    """Nested lists whose text would have 2^30 entries."""
+
+    def __reduce__(self):
+        made: list[object] = [1.0]
+        for _ in range(30):
+            made = [made, made]
+        return codecs.encode, (made, "latin1")
+
+
 class Zeros:
     """Pickles as an array with many more bytes than the file contains."""
 
@@ -206,6 +217,7 @@ BAD_TABLES = {
     "huge in a row": ("pkl", [{"a": 10**400}], "is not a table: int too large"),
     "deep": ("pkl", {"command": [[[[[[[[[[1.0]]]]]]]]]]}, "nested too deeply"),
     "a repeated list": ("pkl", billion(), "it holds more than 1000 items"),
+    "text of a repeated list": ("pkl", Encoded(), "it encodes something other than text"),
     "missing bytes": ("pkl", Zeros(), "arrays of objects are not read"),
     "code": ("pkl", Hostile(), r"is not a pickle of numbers: it refers to (posix|nt)\.system"),
     "empty text": ("csv", "", "has 0 columns and 0 rows"),

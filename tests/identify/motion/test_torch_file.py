@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import pickle
 import zipfile
 from pathlib import Path
 
@@ -10,8 +11,9 @@ import numpy as np
 import pytest
 
 from surefoot.errors import SurefootError
+from surefoot.identify.motion import torch_file
 from surefoot.identify.motion.column_table import read_table
-from surefoot.identify.motion.torch_file import read_tensors
+from surefoot.identify.motion.torch_file import _rebuild_tensor, read_tensors
 
 torch = pytest.importorskip("torch")
 
@@ -69,3 +71,41 @@ def test_damaged_files_are_rejected(tmp_path: Path):
             short.writestr(item, content[:8] if "/data/" in item else content)
     with pytest.raises(SurefootError, match="a tensor that reaches beyond its storage"):
         read_tensors(path)
+
+
+class Tensor:
+    """Pickled as `_rebuild_tensor_v2` with any arguments."""
+
+    def __init__(self, *arguments: object) -> None:
+        self.arguments = arguments
+
+    def __reduce__(self):
+        return torch._utils._rebuild_tensor_v2, (*self.arguments, False, {})
+
+
+def save(path: Path, data: object) -> None:
+    """Write an archive of `torch.save` with a pickle of Python objects."""
+    torch.save({"time": torch.zeros(4)}, path)
+    with zipfile.ZipFile(path) as archive:
+        contents = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in contents.items():
+            archive.writestr(name, pickle.dumps(data, 2) if name.endswith("data.pkl") else content)
+
+
+def test_an_empty_tensor_of_many_rows_is_no_storage(tmp_path: Path):
+    empty = Tensor(Tensor(0, 0, (), ()), 0, (2**33, 0), (1, 1))
+    save(tmp_path / "log.pt", {"time": Tensor(empty, 0, (2**33,), (1,))})
+    with pytest.raises(SurefootError, match="a tensor without its storage"):
+        read_tensors(tmp_path / "log.pt")
+    with pytest.raises(pickle.UnpicklingError, match="a tensor without its storage"):
+        _rebuild_tensor(np.zeros((2**33, 0)), 0, (2**33,), (1,))
+
+
+def test_tensors_of_one_storage_have_limited_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    base = torch.zeros(1000)
+    torch.save({f"column{k}": base for k in range(20)}, tmp_path / "log.pt")
+    assert len(read_tensors(tmp_path / "log.pt")) == 20
+    monkeypatch.setattr(torch_file, "FILE_BYTES", 50_000)
+    with pytest.raises(SurefootError, match="its tensors have over"):
+        read_tensors(tmp_path / "log.pt")

@@ -16,7 +16,7 @@ from surefoot.identify.model import ReplayModel, Unknown
 from surefoot.identify.motion import torque_fit
 from surefoot.identify.motion.torque_model import DEFAULT_NAMES, NAMES, VOLTAGE_CHANGE, torque_observations
 from surefoot.identify.motion.torque_rows import MotorMotion, TorqueRows, torque_timings, usable_rows
-from surefoot.identify.motion.traces import deployed_motion
+from surefoot.identify.motion.traces import deployed_motion, motion_from_trace
 from surefoot.identify.motion.walking_mass import walking_mass
 from surefoot.identify.result import Identification
 from surefoot.robot import PhysicalParams, RobotDescription
@@ -264,6 +264,7 @@ def test_rows_around_gaps_are_left_out_and_noted() -> None:
         ({}, (), "no parameter is to be identified; choices: "),
         ({"robot": "other"}, None, "trace 1 of 1: is of robot 'other', not of 'minitaur'"),
         ({"dry_run": True}, None, "trace 1 of 1: is a dry run"),
+        ({"world": "log"}, None, "trace 1 of 1: is an imported log; only runs that surefoot recorded can be fitted"),
         ({"actuator": "constraint"}, None, "motors of kind 'constraint'; only DC motors"),
     ],
 )
@@ -273,6 +274,15 @@ def test_fit_rejects_unknown_names_and_foreign_traces(
     trace = replace(clean(), meta={**clean().meta, **change})
     with pytest.raises(SurefootError, match=message):
         fit_torques(ROBOT, [trace], names, NOMINAL)
+
+
+def test_rows_that_hold_the_readings_of_later_steps_are_not_replayed() -> None:
+    trace = replace(clean(), meta={**clean().meta, "missed_steps": [40, 41, 60]})
+    angle = motion_from_trace("run", trace).motor_angle
+    assert np.flatnonzero(np.isnan(angle).any(axis=1)).tolist() == [39, 40, 59]
+    whole = motion_from_trace("run", clean()).motor_angle
+    assert np.isfinite(whole).all()
+    np.testing.assert_array_equal(angle[41:59], whole[41:59])
 
 
 def test_fit_rejects_short_traces_and_motors_at_rest() -> None:

@@ -17,6 +17,7 @@ from surefoot.configuration import is_number
 from surefoot.errors import SurefootError, choices, describe_os_errors, nearest, prefix_errors, quote
 from surefoot.files import read_configuration
 from surefoot.robot import RobotDescription
+from surefoot.robot.commands import COMMANDS
 
 _DEFAULTS: dict[str, Any] = {
     "sim.dt": 0.005,
@@ -72,8 +73,11 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
         assigned = read_classes(source, _SECTIONS)
         values = _DEFAULTS | assigned
         for field, key in (("kp", "control.stiffness"), ("kd", "control.damping")):
-            if overrides.get(field) is not None and key not in values:
+            if overrides.get(field) is not None:
                 values[key] = {"": overrides[field]}
+        for field, name in zip(COMMANDS, _RANGES, strict=True):
+            if overrides.get(field) is not None and isinstance(values.get(f"commands.ranges.{name}"), Computed):
+                values[f"commands.ranges.{name}"] = list(overrides[field])
         if overrides.get("control_step") is not None:
             values |= {"sim.dt": overrides["control_step"], "control.decimation": 1}
         if missing := [key for key in _NEEDED if key not in values]:
@@ -199,6 +203,6 @@ def _joint_value(values: Mapping[str, Any], key: str, joint: str, whole: bool = 
     if not matches:
         plain = plain_joint_name(joint)
         matches = [value for name, value in table.items() if plain_joint_name(str(name)) == plain]
-    if len(matches) != 1 or isinstance(matches[0], bool) or not isinstance(matches[0], int | float):
+    if len(matches) != 1 or not is_number(matches[0]):
         raise SurefootError(f"{key} is for {choices(table)}; it must have one number for {joint}")
     return float(matches[0])

@@ -1,13 +1,14 @@
 """Static reader of the numbers, strings and dictionaries that the classes of a Python file assign; the file is not run.
 
-Arithmetic of literals and previously assigned names is evaluated. Any other assigned value becomes a `Computed`.
+Arithmetic of literals and previously assigned names is evaluated. A value that is assigned or changed in any other way,
+such as `table["calf"] = 40.0`, becomes a `Computed`.
 """
 
 from __future__ import annotations
 
 import ast
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from surefoot.errors import SurefootError
@@ -25,6 +26,20 @@ _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Pow: operator.pow,
 }
 Scope = dict[str, Any]
+_CHANGING = (
+    "append",
+    "clear",
+    "extend",
+    "insert",
+    "pop",
+    "popitem",
+    "remove",
+    "reverse",
+    "setdefault",
+    "sort",
+    "update",
+)
+"""Methods that change a list or a dictionary."""
 
 
 class Computed(NamedTuple):
@@ -81,28 +96,59 @@ def _assign(item: ast.stmt, prefix: str, own: Scope, module: Scope, values: dict
         targets = item.targets if isinstance(item, ast.Assign) else [item.target]
         value = _fold_or_computed(item.value, {**module, **own})
         names = {one.id: value for one in targets if isinstance(one, ast.Name)}
+        text = Computed(_text(item))
+        names |= {name: text for one in targets for name in _changed(one, scope) if name not in names}
     elif isinstance(item, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Import | ast.ImportFrom):
         return
     else:  # a branch, loop or augmented assignment, whose result is unknown without running it
-        stored = (one.id for one in ast.walk(item) if isinstance(one, ast.Name) and isinstance(one.ctx, ast.Store))
-        names = {name: Computed(_text(item)) for name in stored}
+        text = Computed(_text(item))
+        names = {name: text for name in _changed(item, scope)}
     scope.update(names)
     values.update({f"{prefix}{name}": value for name, value in names.items()})
 
 
+def _changed(node: ast.AST, scope: Scope) -> Iterator[str]:
+    """Yield the names that a statement or target stores, and those in a scope whose value it changes in place."""
+    for one in ast.walk(node):
+        if isinstance(one, ast.Name) and not isinstance(one.ctx, ast.Load):
+            yield one.id
+        elif isinstance(base := _changed_value(one), ast.Name) and base.id in scope:
+            yield base.id
+
+
+def _changed_value(node: ast.AST) -> ast.expr | None:
+    """Return the list or dictionary that an expression changes: `x` of `x["a"]["b"]` as a target, or of `x.append`."""
+    value = None
+    if isinstance(node, ast.Subscript) and not isinstance(node.ctx, ast.Load):
+        value = node.value
+    elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr in _CHANGING:
+        value = node.func.value
+    while isinstance(value, ast.Subscript):
+        value = value.value
+    return value
+
+
 def _attribute_assignments(item: ast.stmt, module: Scope) -> dict[str, Any]:
-    """Return the attributes that a top-level statement assigns, such as `Config.control.decimation = 4`."""
-    assigned = {}
+    """Return the attributes that a top-level statement assigns or changes, such as `Config.control.decimation = 4`."""
+    plain = isinstance(item, ast.Assign | ast.AnnAssign) and item.value is not None
+    text = Computed(_text(item))
+    value = _fold_or_computed(item.value, module) if plain else text  # type: ignore[attr-defined]
+    assigned: dict[str, Any] = {}
     for one in ast.walk(item):
-        if isinstance(one, ast.Attribute) and isinstance(one.ctx, ast.Store):
-            names, inner = [one.attr], one.value
-            while isinstance(inner, ast.Attribute):
-                names.insert(0, inner.attr)
-                inner = inner.value
-            plain = isinstance(item, ast.Assign | ast.AnnAssign) and item.value is not None
-            value = _fold_or_computed(item.value, module) if plain else Computed(_text(item))  # type: ignore[attr-defined]
-            assigned[".".join(names)] = value
+        if isinstance(one, ast.Attribute) and not isinstance(one.ctx, ast.Load):
+            assigned[_attribute_name(one)] = value
+        elif isinstance(changed := _changed_value(one), ast.Attribute):
+            assigned[_attribute_name(changed)] = text
     return assigned
+
+
+def _attribute_name(node: ast.Attribute) -> str:
+    """Return the dotted name of an attribute below the class: `control.decimation` of `Config.control.decimation`."""
+    names, inner = [node.attr], node.value
+    while isinstance(inner, ast.Attribute):
+        names.insert(0, inner.attr)
+        inner = inner.value
+    return ".".join(names)
 
 
 def _fold_or_computed(node: ast.expr, scope: Mapping[str, Any]) -> Any:

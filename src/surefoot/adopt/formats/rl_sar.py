@@ -226,7 +226,7 @@ def _single_table(path: Path) -> dict[str, Any]:
     if len(tables) == 1:
         return next(iter(tables.values()))
     for name, table in tables.items():
-        if name.rpartition("/")[2] == path.parent.name:
+        if str(name).rpartition("/")[2] == path.parent.name:
             return table
     raise SurefootError(f"{path}: holds {choices(data)}; a file of rl_sar has one table, such as 'go2/himloco'")
 

@@ -74,9 +74,9 @@ def read(config: Path, robot: RobotDescription, overrides: Mapping[str, Any]) ->
         stated |= {
             name: [overrides[field]] * count
             for field, name in (("kp", "stiffness"), ("kd", "damping"))
-            if field in overrides
+            if overrides.get(field) is not None
         }
-        data = {**{name: value for name, value in stated.items() if value is not None}, **data}
+        data |= {name: value for name, value in stated.items() if value is not None}
         table = from_table(_Config, data)
         if sorted(table.joint_ids_map) != [*range(count)]:
             raise SurefootError(f"joint_ids_map is {list(table.joint_ids_map)}; each of {count} motors must be in it")

@@ -69,7 +69,7 @@ def fit_mass(
         dynamics = InverseDynamics(robot, params)
         forces = dynamics.forces(standing.motion)
         check_feet(standing, forces, dynamics)
-        weight = forces.force[still, :, 1].sum(axis=1)
+        weight = _weight(standing, forces, still)
         base = dynamics.base_mass
         total, legs = float(weight.mean()) / GRAVITY, dynamics.mass - base
         excess, variance = _inertia_excess(standing, forces, nodding)
@@ -110,6 +110,12 @@ def _scale(robot: RobotDescription, params: PhysicalParams, name: str, factor: f
     """Multiply a ratio by a factor, within the robot's bounds."""
     ratio = getattr(params, name)
     ratio[0] *= float(np.clip(float(ratio[0]) * factor, *robot.allowed[name])) / float(ratio[0])
+
+
+def _weight(standing: GroundMotion, forces: Forces, during: NDArray[np.bool_]) -> Array:
+    """Return the weight [N] (T,) that the feet carry: their force along the vertical of the base, over its cosine."""
+    carried: Array = forces.force[during, :, 1].sum(axis=1) / np.cos(standing.motion.roll_pitch[during]).prod(axis=1)
+    return carried
 
 
 def _inertia_excess(standing: GroundMotion, forces: Forces, during: NDArray[np.bool_]) -> tuple[float, float]:
@@ -156,7 +162,7 @@ def _check(
     for k, params in enumerate((before, after)):
         dynamics = InverseDynamics(robot, params)
         forces = dynamics.forces(standing.motion)
-        weight_error[k] = abs(float(forces.force[held_out, :, 1].sum(axis=1).mean()) - GRAVITY * dynamics.mass)
+        weight_error[k] = abs(float(_weight(standing, forces, held_out).mean()) - GRAVITY * dynamics.mass)
         moment_error[k], simulated[k] = np.std(forces.required[held_out, 2]), forces.base_moment[held_out]
     # The measured moment that remains for the rotation of the base itself.
     measured = (forces.base_moment - forces.required[:, 2])[held_out]

@@ -69,8 +69,11 @@ def ground_motion(
         sensors: `Identification.sensors` of earlier experiments.
 
     Raises:
-        SurefootError: the robot fell or never stood up.
+        SurefootError: the robot fell or never stood up, or a motor never moves.
     """
+    if still := sorted(recording.still_motors):
+        name = robot.motor_names[still[0]]
+        raise SurefootError(f"{name} never moves, but foot forces need the readings of all motors: run it again")
     fitted = np.isin(recording.sent_phase, recording.phases(*_USES))
     times, age = recording.time, max(float(params.control_latency[0]) - float(recording.meta["lead"]), 0.0)
     first, last = recording.arrival[fitted][[0, -1]]

@@ -214,13 +214,19 @@ def _scalar(kind: Any, content: Any = b"") -> float:
     return float(_numbers(content, kind)[0])
 
 
+def _encode(text: Any, _: Any = "latin1") -> bytes:
+    if not isinstance(text, str):
+        raise pickle.UnpicklingError("it encodes something other than text")
+    return text.encode("latin1")
+
+
 _SAFE_CLASSES: dict[tuple[str, str], Any] = {
     **{(f"numpy.{core}.multiarray", "_reconstruct"): _PickledArray for core in ("core", "_core")},
     **{(f"numpy.{core}.multiarray", "scalar"): _scalar for core in ("core", "_core")},
     **{(f"numpy.{core}.numeric", "_frombuffer"): _from_buffer for core in ("core", "_core")},
     ("numpy", "ndarray"): _NdarrayClass,
     ("numpy", "dtype"): _PickledDtype,
-    ("_codecs", "encode"): lambda text, kind="latin1": str(text).encode("latin1"),
+    ("_codecs", "encode"): _encode,
     ("collections", "OrderedDict"): dict,
 }
 
@@ -253,6 +259,8 @@ def _table_from_rows(data: Sequence[Mapping[Any, Any]]) -> ColumnTable:
     names = list(dict.fromkeys(name for row in rows for name in row))[:MAX_COLUMNS]
     if not names:
         raise SurefootError("holds no numbers")
+    if len(rows) * len(names) > MAX_NUMBERS:
+        raise SurefootError(f"is a table of {len(rows)} x {len(names)} numbers; at most {MAX_NUMBERS} are read")
     return ColumnTable({name: np.array([row.get(name, np.nan) for row in rows]) for name in names})
 
 

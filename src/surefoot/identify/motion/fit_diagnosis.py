@@ -46,10 +46,12 @@ def diagnose_fit(robot: RobotDescription, motions: Sequence[RecordedMotion], par
         fit_errors.append(error)
         baseline_errors.append(baseline)
         ratio = error / max(baseline, 1e-12)
-        if worst is None or ratio > worst[1]:
+        if np.isfinite(ratio) and (worst is None or ratio > worst[1]):  # not a log without angles
             worst = motion, ratio
-    error, baseline = (float(np.sqrt(np.mean(np.square(values)))) for values in (fit_errors, baseline_errors))
-    if worst is None or not np.isfinite(error) or error < max(MAX_ERROR_RATIO * baseline, SMALL_ERROR):
+    if worst is None:
+        return ()
+    error, baseline = (float(np.sqrt(np.nanmean(np.square(values)))) for values in (fit_errors, baseline_errors))
+    if error < max(MAX_ERROR_RATIO * baseline, SMALL_ERROR):
         return ()
     failure = (
         f"the fitted robot does not reproduce these logs: its error is {error:.4f} rad, but motors that just follow "

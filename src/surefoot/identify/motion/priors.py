@@ -95,7 +95,13 @@ _DEFAULT_SCALES = {
     "rotor_inertia": 0.003,
 }
 """Scale of motor parameters that are 0 in the data sheet, relative to m g l, m g l s, or m l^2."""
-_ABSOLUTE_SCALES = {"load_friction": 0.1, "speed_filter": 0.005, "torque_lag": 0.005, "presliding": 0.01}
+_ABSOLUTE_SCALES = {
+    "control_latency": 0.005,
+    "load_friction": 0.1,
+    "speed_filter": 0.005,
+    "torque_lag": 0.005,
+    "presliding": 0.01,
+}
 """Scale of other parameters that are 0 in the data sheet, in their units."""
 
 

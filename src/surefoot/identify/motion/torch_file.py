@@ -40,9 +40,9 @@ class _StorageKind:
 
 
 def _rebuild_tensor(storage: Any, offset: Any, shape: Any, strides: Any, *_: Any) -> NDArray[Any]:
-    """Return the elements of a tensor in a storage; offset and strides are in elements."""
+    """Return the elements of a tensor in a storage (N,); offset and strides are in elements."""
     sizes = [*shape, *strides, offset]
-    if not isinstance(storage, np.ndarray) or len(shape) != len(strides):
+    if not isinstance(storage, np.ndarray) or storage.ndim != 1 or len(shape) != len(strides):
         raise pickle.UnpicklingError("a tensor without its storage")
     if not all(isinstance(size, int) and size >= 0 for size in sizes):
         raise pickle.UnpicklingError("a tensor with an invalid shape")
@@ -65,12 +65,14 @@ class _TensorUnpickler(pickle.Unpickler):
     def __init__(self, archive: zipfile.ZipFile, folder: str) -> None:
         super().__init__(io.BytesIO(archive.read(f"{folder}data.pkl")))
         self._archive, self._folder = archive, folder
+        self._storages: dict[tuple[str, str], NDArray[Any]] = {}
+        self._left = FILE_BYTES
 
     def find_class(self, module: str, name: str) -> Any:
         if module in ("torch", "torch.storage") and name in _STORAGES:
             return _StorageKind(_STORAGES[name])
         allowed = {
-            ("torch._utils", "_rebuild_tensor_v2"): _rebuild_tensor,
+            ("torch._utils", "_rebuild_tensor_v2"): self._tensor,
             ("torch._utils", "_rebuild_parameter"): _rebuild_parameter,
             ("collections", "OrderedDict"): dict,
         }
@@ -78,10 +80,21 @@ class _TensorUnpickler(pickle.Unpickler):
             raise pickle.UnpicklingError(f"it refers to {module}.{name}, which is not allowed")
         return allowed[module, name]
 
+    def _tensor(self, storage: Any, offset: Any, shape: Any, strides: Any, *_: Any) -> NDArray[Any]:
+        """Return a tensor as `_rebuild_tensor` does; all tensors of a file have limited memory."""
+        tensor = _rebuild_tensor(storage, offset, shape, strides)
+        self._left -= tensor.nbytes
+        if self._left < 0:
+            raise pickle.UnpicklingError(f"its tensors have over {FILE_BYTES >> 20} MiB")
+        return tensor
+
     def persistent_load(self, pid: Any) -> Any:
         if not (isinstance(pid, tuple) and len(pid) == 5 and pid[0] == "storage" and isinstance(pid[1], _StorageKind)):
             raise pickle.UnpicklingError("it refers to something that is not a storage")
-        return np.frombuffer(self._archive.read(f"{self._folder}data/{pid[2]}"), pid[1].kind)
+        key = str(pid[2]), str(pid[1].kind)
+        if key not in self._storages:
+            self._storages[key] = np.frombuffer(self._archive.read(f"{self._folder}data/{key[0]}"), key[1])
+        return self._storages[key]
 
 
 def read_tensors(path: Path) -> dict[str, Any]:

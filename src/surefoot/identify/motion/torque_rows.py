@@ -22,6 +22,7 @@ from surefoot.arrays import Array
 from surefoot.errors import SurefootError
 from surefoot.identify.motion.recorded import RecordedMotion
 from surefoot.robot import RobotDescription
+from surefoot.task.trace import IMPORTED_LOG
 
 Rows = NDArray[np.int64]
 
@@ -159,7 +160,7 @@ def check_traces(robot: RobotDescription, motions: Sequence[RecordedMotion]) -> 
     """Reject traces that can't be fitted.
 
     Raises:
-        SurefootError: there are no traces, or a trace is of another robot, of a dry run, or of other actuators.
+        SurefootError: there are no traces, or a trace is imported, of another robot, a dry run, or other actuators.
     """
     if not motions:
         raise SurefootError("there are no traces; give one or more")
@@ -167,6 +168,10 @@ def check_traces(robot: RobotDescription, motions: Sequence[RecordedMotion]) -> 
         meta, where = motion.meta, f"trace {number + 1} of {len(motions)}"
         if meta["robot"] != robot.name or tuple(meta["motor_names"]) != robot.motor_names:
             raise SurefootError(f"{where}: is of robot '{meta['robot']}', not of '{robot.name}' with its motors")
+        if meta.get("world") == IMPORTED_LOG:
+            raise SurefootError(
+                f"{where}: is an imported log; only runs that surefoot recorded can be fitted for DC motors"
+            )
         if meta.get("dry_run"):
             raise SurefootError(f"{where}: is a dry run, whose targets were never sent; give runs of an armed robot")
         if meta.get("actuator", "dc") != "dc":

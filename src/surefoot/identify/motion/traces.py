@@ -17,6 +17,8 @@ from surefoot.robot import RobotDescription
 from surefoot.robot.params_file import param_table
 from surefoot.task.trace import IMPORTED_LOG, EpisodeTrace, robot_meta
 
+_READINGS = ("motor_angle", "motor_velocity", "motor_torque", "roll_pitch_yaw", "angular_velocity_base")
+
 
 def deployed_motion(name: str, trace: EpisodeTrace) -> RecordedMotion:
     """Return the motion of a trace recorded by surefoot, in which the command of a row was sent one row earlier."""
@@ -31,7 +33,11 @@ def motion_from_trace(name: str, trace: EpisodeTrace) -> RecordedMotion:
         SurefootError: there are no two consecutive rows with targets, or the motion can't be replayed.
     """
     if not trace.is_imported:
-        return deployed_motion(name, trace).require_replayable()
+        motion = deployed_motion(name, trace)
+        # The row before a missed step holds the readings of a later one.
+        late = np.isin(np.arange(trace.num_steps) + 1, trace.meta.get("missed_steps", ()))[:, None]
+        kept = {reading: np.where(late, np.nan, getattr(motion, reading)) for reading in _READINGS}
+        return replace(motion, **kept).require_replayable()
     rows = _longest_run(np.asarray(np.isfinite(trace.target).all(axis=1)))
     if rows.stop - rows.start < 2:
         raise SurefootError("has no two consecutive rows with commands; replay and identification need commands")

@@ -256,7 +256,7 @@ def start_with_limit(
         latency: control latency [s].
     """
     motors = moving_legs(robot, recording)
-    resistances = prior.resistance[0] * _RESISTANCES
+    resistances = np.clip(prior.resistance[0] * _RESISTANCES, *robot.allowed["resistance"])
     values, with_limit, without = dict[str, Array](), np.inf, np.inf
     readings = [pwm_readings(robot, recording, segment, motors, max(latency + error, 0.0)) for error in _LATENCY_ERRORS]
     constants = prior.torque_constant[0] * np.array(_CONSTANTS)
@@ -276,7 +276,8 @@ def start_with_limit(
         if errors[best] < with_limit:
             with_limit, strength = float(errors[best]), prior.motor_strength.copy()
             strength[0, motors] = strengths[best]
-            values = {LIMIT: limits[best[0]], "resistance": resistances[best[1]], "motor_strength": strength}
+            limit = np.clip(limits[best[0]], *robot.allowed[LIMIT])
+            values = {LIMIT: limit, "resistance": resistances[best[1]], "motor_strength": strength}
     return prior.with_values(robot, **values) if with_limit < _LIMIT_GAIN * without else None
 
 
@@ -304,8 +305,9 @@ def pwm_readings(
     index = np.searchsorted(segment.command_tick * robot.timing.servo_step, segment.state_time - 1e-4) - 1
     driven = (index >= 0) & (segment.kind[index] == Mode.PWM)
     states = segment.states[driven]
-    # The speeds of a state are older than its torques by the control latency.
-    speed = interpolate_columns(recording.time[states] + latency, recording.time, recording.motor_velocity[:, motors])
+    # The speeds of a state are older than its torques by the control latency without the lead.
+    age = max(latency - segment.lead, 0.0)
+    speed = interpolate_columns(recording.time[states] + age, recording.time, recording.motor_velocity[:, motors])
     voltage = recording.voltage[np.maximum(states - 1, 0)][:, None]
     return states, segment.command[index][driven][:, motors], speed, voltage
 
