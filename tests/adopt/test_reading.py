@@ -180,7 +180,7 @@ def test_a_read_does_not_make_a_value_computed():
 def test_options_replace_values_that_cannot_be_read(take):
     gym = GYM.replace('{"joint": 25.0}', "gains()").replace('{"joint": 0.5}', '{"joint": 1, "calf": 2}')
     gym += "    class commands:\n        class ranges:\n            lin_vel_x = limits()\n"
-    assert "control.stiffness is computed" in rejection(take, "legged_gym", gym)
+    assert "control.stiffness is computed" in rejection(take, "legged_gym", gym, forward=(-0.5, 0.8))
     specification = take("legged_gym", gym, kp=30.0, kd=1.0, forward=(-0.5, 0.8))
     assert (specification.kp, specification.kd, specification.forward) == (30.0, 1.0, (-0.5, 0.8))
 

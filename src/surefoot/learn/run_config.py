@@ -12,7 +12,6 @@ from surefoot.learn.config import TrainConfig
 from surefoot.robot import RobotDescription
 from surefoot.robot.archive import copy_robot
 from surefoot.task.reference_config import REFERENCES, TableReferenceConfig
-from surefoot.world.terrain import is_map
 
 ROBOT = "robot"
 """Folder with a copy of a robot that does not ship with surefoot, also the value of `task.robot` in the file."""
@@ -38,9 +37,9 @@ def write_run_config(config: TrainConfig, folder: Path) -> None:
         name = f"{_TABLE}{Path(file).suffix}"
         atomic_write(folder / name, Path(file).read_bytes())
         task = replace(task, reference=replace(task.reference, file=name))
-    if is_map(ground := task.terrain.ground):
-        name = f"{_MAP}{Path(ground).suffix}"
-        atomic_write(folder / name, Path(ground).read_bytes())
+    if (heights := task.terrain.map_file) is not None:
+        name = f"{_MAP}{heights.suffix}"
+        atomic_write(folder / name, heights.read_bytes())
         task = replace(task, terrain=replace(task.terrain, ground=name))
     write_yaml(folder / _CONFIG, replace(config, task=task))
 

@@ -23,7 +23,6 @@ from surefoot.task.reference_config import REFERENCES, NoReferenceConfig, Refere
 from surefoot.task.reward import PAPER_REWARD, check_reward, energy_weight
 from surefoot.task.terrain import TerrainConfig
 from surefoot.world.interface import MAX_PHYSICS_STEP
-from surefoot.world.terrain import is_map
 
 _PRESETS = Path(__file__).parent / "presets"
 
@@ -229,7 +228,8 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
         # The path of a table is relative to the task file.
         absolute = str((path.parent / config.reference.file).resolve())
         config = from_mapping(TaskConfig, {"reference": {"file": absolute}}, base=config)
-    if is_map(ground := config.terrain.ground) and (own := path.parent / ground).is_file():
+    heights = config.terrain.map_file
+    if heights is not None and (own := path.parent / heights).is_file():  # as that of a reference table
         config = replace(config, terrain=replace(config.terrain, ground=str(own.resolve())))
     return config, train
 

@@ -14,7 +14,7 @@ from surefoot.errors import SurefootError, suggest
 from surefoot.seeding import generator
 from surefoot.task.height_scan import ScanConfig
 from surefoot.world.ground import Ground
-from surefoot.world.terrain import HALF_SIDE, ROUGH_SPACING, TerrainField, check_size, make_field, make_terrain
+from surefoot.world.terrain import HALF_SIDE, ROUGH_SPACING, TerrainField, check_size, is_map, make_field, make_terrain
 
 MAX_TILES = 400
 """Maximum number of tiles of a field."""
@@ -50,6 +50,11 @@ class TerrainConfig:
     curriculum: bool = True
     """Terrain curriculum: robots move up a level if they cover 0.7 to 1.25 of the commanded distance without a fall,
     and down a level if they fall or cover less than half of it. After the last level they continue at a random one."""
+
+    @property
+    def map_file(self) -> Path | None:
+        """Path of the height map that is the terrain for all robots, or None."""
+        return Path(self.ground) if is_map(self.ground) else None
 
     def __post_init__(self) -> None:
         """Reject kinds that do not exist, sizes out of bounds, and fields that are too large."""

@@ -104,7 +104,7 @@ def test_an_empty_tensor_of_many_rows_is_no_storage(tmp_path: Path):
 
 def test_tensors_of_one_storage_have_limited_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     base = torch.zeros(1000)
-    torch.save({f"column{k}": base for k in range(20)}, tmp_path / "log.pt")
+    torch.save({f"column{k}": base[:] for k in range(20)}, tmp_path / "log.pt")
     assert len(read_tensors(tmp_path / "log.pt")) == 20
     monkeypatch.setattr(torch_file, "FILE_BYTES", 50_000)
     with pytest.raises(SurefootError, match="its tensors have over"):

@@ -47,7 +47,7 @@ def read(path: Path, robot: RobotDescription, overrides: Mapping[str, Any]) -> P
     with prefix_errors(path):
         properties = {one.key: one.value for one in read_model(data).metadata_props}
         for field, name in (("kp", "joint_stiffness"), ("kd", "joint_damping")):
-            if overrides.get(field) is not None:
+            if overrides.get(field) is not None and not properties.get(name, "").strip():
                 properties[name] = ",".join([f"{overrides[field]}"] * len(properties.get("joint_names", "").split(",")))
         if missing := [name for name in _LISTS if name not in properties]:
             raise SurefootError(f"has no property {', '.join(missing)}; mjlab's exporter writes {', '.join(_LISTS)}")
