@@ -79,7 +79,8 @@ class OnnxNetwork:
         numbers = 0
         for node in source.node:
             _translate(graph, node, items)
-            numbers += sum(np.size(item) for name in node.output if not isinstance(item := items.get(name), Value))
+            made = [items[name] for name in node.output if name in items]
+            numbers += sum(int(np.size(item)) for item in made if not isinstance(item, Value))
             if numbers > MAX_CONSTANTS:
                 raise SurefootError(f"the network computes over {MAX_CONSTANTS} constant numbers; a policy has fewer")
         results = []

@@ -36,7 +36,7 @@ def motion_from_trace(name: str, trace: EpisodeTrace) -> RecordedMotion:
         motion = deployed_motion(name, trace)
         # The row before a missed step holds the readings of a later one.
         late = np.isin(np.arange(trace.num_steps) + 1, trace.meta.get("missed_steps", ()))[:, None]
-        kept = {reading: np.where(late, np.nan, getattr(motion, reading)) for reading in _READINGS}
+        kept: dict[str, Any] = {reading: np.where(late, np.nan, getattr(motion, reading)) for reading in _READINGS}
         return replace(motion, **kept).require_replayable()
     rows = _longest_run(np.asarray(np.isfinite(trace.target).all(axis=1)))
     if rows.stop - rows.start < 2:
