@@ -170,6 +170,10 @@ Config.noise.scale.update(a=1)
     assert values["control.stiffness"].text == "stiffness['calf'] = 40.0"
 
 
+def test_a_number_of_too_many_digits_is_no_traceback():
+    assert "a.x" in read_classes(b"class C:\n    class a:\n        x = [0x" + b"f" * 4000 + b"]\n", ())
+
+
 def test_a_read_does_not_make_a_value_computed():
     values = read_classes(
         b"class C:\n    class a:\n        x = {'k': 1}\n        y = x.copy()\n        print(x['k'])\n", ()

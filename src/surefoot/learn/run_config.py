@@ -63,7 +63,7 @@ def read_run_config(folder: Path) -> TrainConfig:
 
 
 def _is_copy(folder: Path, file: str, stem: str) -> bool:
-    """Return whether a path in a run's configuration is that of the copy with a given name in its folder."""
+    """Return whether a path in a run's configuration names the copy with a given stem in its folder."""
     return Path(file).stem == file.rpartition(".")[0] == stem and (folder / file).is_file()
 
 

@@ -229,7 +229,7 @@ def load_task(task: str, robot: str | None = None) -> tuple[TaskConfig, dict[str
         absolute = str((path.parent / config.reference.file).resolve())
         config = from_mapping(TaskConfig, {"reference": {"file": absolute}}, base=config)
     heights = config.terrain.map_file
-    if heights is not None and (own := path.parent / heights).is_file():  # as that of a reference table
+    if heights is not None and (own := path.parent / heights).is_file():  # as for a reference table
         config = replace(config, terrain=replace(config.terrain, ground=str(own.resolve())))
     return config, train
 

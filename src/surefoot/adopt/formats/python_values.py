@@ -26,19 +26,9 @@ _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Pow: operator.pow,
 }
 Scope = dict[str, Any]
-_CHANGING = (
-    "append",
-    "clear",
-    "extend",
-    "insert",
-    "pop",
-    "popitem",
-    "remove",
-    "reverse",
-    "setdefault",
-    "sort",
-    "update",
-)
+_CHANGING = {
+    "append", "clear", "extend", "insert", "pop", "popitem", "remove", "reverse", "setdefault", "sort", "update",
+}  # fmt: skip
 """Methods that change a list or a dictionary."""
 
 
@@ -161,7 +151,7 @@ def _fold_or_computed(node: ast.expr, scope: Mapping[str, Any]) -> Any:
 def _text(node: ast.AST) -> str:
     try:
         return " ".join(ast.unparse(node).split())[:80]
-    except RecursionError:
+    except (RecursionError, ValueError):  # also an integer of more digits than Python writes
         return "a long expression"
 
 
