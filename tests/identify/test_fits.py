@@ -100,9 +100,9 @@ def test_motor_experiment_identifies_a_limit_of_the_current(
     # With a lead of the readings the same speeds belong to the same torques.
     led = replace(recording, meta={**recording.meta, "lead": 0.005})
     segment, late = segment_from_recording(recording, 1, 2), segment_from_recording(led, 1, 2)
-    motors, latency = np.arange(robot.num_motors), float(nominal.control_latency[0])
-    speed = pwm_readings(robot, recording, segment, motors, latency)[2]
-    np.testing.assert_allclose(pwm_readings(robot, led, late, motors, latency + 0.005)[2], speed, atol=1e-9)
+    indices, latency = np.arange(robot.num_motors), float(nominal.control_latency[0])
+    speed = pwm_readings(robot, recording, segment, indices, latency)[2]
+    np.testing.assert_allclose(pwm_readings(robot, led, late, indices, latency + 0.005)[2], speed, atol=1e-9)
     assert not any("description allows" in note for note in limited.notes)
     # For a robot without a limit the recording says up to where there is none.
     assert "voltage_clip" not in [item.name for item in motors.estimates]
