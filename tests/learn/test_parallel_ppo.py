@@ -84,8 +84,10 @@ def test_an_update_is_that_of_rsl_rl(threads: int, symmetry: bool, desired_kl: f
                 getattr(algorithm, name).parameters(), getattr(expected, name).parameters(), strict=True
             ):
                 torch.testing.assert_close(one, other, atol=2e-5, rtol=1e-3)
-        for one, other in zip(algorithm.actor.buffers(), policy.actor.buffers(), strict=True):
-            torch.testing.assert_close(one, other)
+        pairs = [("critic", critic)] if symmetry else [("actor", policy), ("critic", critic)]
+        for name, expected in pairs:  # a symmetric policy's normalizer learns from mirror images too
+            for one, other in zip(getattr(algorithm, name).buffers(), getattr(expected, name).buffers(), strict=True):
+                torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-4)
     assert algorithm.learning_rate != learner.config.ppo.learning_rate
 
 
@@ -100,15 +102,22 @@ def test_results_do_not_depend_on_the_number_of_threads() -> None:
         assert torch.equal(one, two)
 
 
-def test_a_minibatch_runs_the_policy_once_on_samples_and_images_and_the_critic_on_samples() -> None:
+@pytest.mark.parametrize(("is_symmetric", "policy_samples"), [(True, 8), (False, 16)])
+def test_a_minibatch_runs_mirror_images_only_through_a_policy_that_is_not_symmetric(
+    is_symmetric: bool, policy_samples: int
+) -> None:
     learner = make_learner(True)
+    assert learner.algorithm.symmetry is not None
+    if not is_symmetric:
+        learner.algorithm.load(make_learner(False).algorithm.save(), None, strict=True)
+    assert (learner.algorithm.symmetry is not None) is is_symmetric
     passes: dict[str, list[int]] = {"actor": [], "critic": []}
     for name, sizes in passes.items():
         network = getattr(learner.algorithm, name).mlp
         network.register_forward_hook(lambda _, inputs, __, sizes=sizes: sizes.append(len(inputs[0])))
     learner.update()
     # 4 steps of 6 robots: 24 samples in three minibatches, for two epochs.
-    assert [n for n in passes["actor"] if n != 6] == [16] * 6
+    assert [n for n in passes["actor"] if n != 6] == [policy_samples] * 6
     assert [n for n in passes["critic"] if n != 6] == [8] * 6
 
 

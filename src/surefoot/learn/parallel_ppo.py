@@ -11,8 +11,13 @@ from typing import Any, Self
 
 import torch
 from rsl_rl.algorithms import PPO
+from rsl_rl.models import MLPModel
+from rsl_rl.modules import MLP
+from tensordict import TensorDict
 from torch import nn
 
+from surefoot.learn.normalization import update_normalizer
+from surefoot.learn.symmetric_network import PolicySymmetry
 from surefoot.learn.symmetry import MirrorSamples
 
 _LEARNING_RATES = (1e-5, 1e-2)
@@ -72,9 +77,10 @@ class ParallelPPO(PPO):
     """PPO of rsl_rl whose update takes about half the time for small networks on a CPU.
 
     Policy and critic share neither parameters nor a loss, so they learn on two threads. Each operation uses one thread,
-    so results do not depend on the number of cores. Observations are normalized and mirrored once per update, because
-    the normalizers change only after it. Only the policy learns from mirror images: twice the samples for the critic
-    cost time, and policies were not better.
+    so results do not depend on the number of cores. Observations are normalized once per update, because the
+    normalizers change only after it. With mirror images a new policy is symmetric by its weights, and learns from them
+    without running them (`PolicySymmetry`); one that is not, such as that of an older run, runs them. The critic learns
+    without: twice the samples cost time, and policies were not better.
 
     Args:
         mirror: mirror images of samples, or None for none.
@@ -88,13 +94,19 @@ class ParallelPPO(PPO):
     def __init__(self, *args: Any, mirror: MirrorSamples | None = None, threads: int = 1, **settings: Any) -> None:
         super().__init__(*args, **settings)
         self.mirror = mirror
+        self._policy_symmetry = None
+        if mirror is not None and isinstance(self.actor.mlp, MLP):
+            self._policy_symmetry = PolicySymmetry(self.actor, mirror)
+            self._policy_symmetry.impose()
+        self.symmetry = self._policy_symmetry
+        """Symmetry of the policy by its weights. Without it, the policy learns from mirror images, if there are any."""
         self._pool = None
         if threads > 1:
             self._pool = ThreadPoolExecutor(1, "critic", initializer=torch.set_num_threads, initargs=(1,))
         # Both threads step their parameters in the one optimizer's state, which checkpoints hold.
         self._optimizers = {
-            "actor": torch.optim.Adam(self.actor.parameters(), self.learning_rate),
-            "critic": torch.optim.Adam(self.critic.parameters(), self.learning_rate),
+            "actor": torch.optim.Adam(self.actor.parameters(), self.learning_rate, fused=True),
+            "critic": torch.optim.Adam(self.critic.parameters(), self.learning_rate, fused=True),
         }
         self._share_optimizer_state()
 
@@ -106,6 +118,8 @@ class ParallelPPO(PPO):
         """Load models and optimizer, see rsl_rl."""
         loaded: bool = super().load(loaded_dict, load_cfg, strict)
         self._share_optimizer_state()
+        own = self._policy_symmetry
+        self.symmetry = own if own is not None and own.holds() else None
         return loaded
 
     def update(self) -> dict[str, float]:
@@ -126,18 +140,26 @@ class ParallelPPO(PPO):
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate
         observations = store.observations.flatten(0, 1)
-        self.actor.update_normalization(observations)
-        self.critic.update_normalization(observations)
+        if self.symmetry is not None:
+            self.symmetry.update_normalization(observations["policy"])
+            self.symmetry.remove_rounding()
+        else:
+            self._update_normalizer(self.actor, observations)
+        self._update_normalizer(self.critic, observations)
         store.clear()
         steps = self.num_learning_epochs * minibatches
         return {"value": value_loss / steps, "surrogate": surrogate / steps, "entropy": entropy / steps}
+
+    def _update_normalizer(self, model: MLPModel, observations: TensorDict) -> None:
+        inputs = torch.cat([observations[group] for group in model.obs_groups], -1)
+        update_normalizer(model.obs_normalizer, inputs)
 
     def _policy_samples(self) -> _PolicySamples:
         store, normalize = self.storage, self.actor.obs_normalizer
         observations, actions = store.observations["policy"].flatten(0, 1), store.actions.flatten(0, 1)
         inputs = [normalize(observations)]
         chosen = [actions]
-        if self.mirror is not None:
+        if self.mirror is not None and self.symmetry is None:
             inputs.append(normalize(self.mirror.mirror("policy", observations)))
             chosen.append(self.mirror.mirror("actions", actions))
         mean, std = (one.flatten(0, 1) for one in store.distribution_params or ())
@@ -187,9 +209,11 @@ class ParallelPPO(PPO):
         ratio = batch.std * inverse
         distance = ((batch.mean - mean) * inverse).square()
         divergence = float((0.5 * (ratio.square() + distance - 1.0) - ratio.log()).sum(-1).mean())
+        if divergence <= _NO_DIVERGENCE:
+            return
         if divergence > 2.0 * self.desired_kl:
             self.learning_rate = max(_LEARNING_RATES[0], self.learning_rate / _LEARNING_RATE_FACTOR)
-        elif _NO_DIVERGENCE < divergence < 0.5 * self.desired_kl:
+        elif divergence < 0.5 * self.desired_kl:
             self.learning_rate = min(_LEARNING_RATES[1], self.learning_rate * _LEARNING_RATE_FACTOR)
 
     def _learn_values(self, samples: _ValueSamples, size: int, rates: SimpleQueue[float | None]) -> float:
@@ -213,6 +237,8 @@ class ParallelPPO(PPO):
         optimizer = self._optimizers[name]
         optimizer.zero_grad()
         loss.backward()
+        if name == "actor" and self.symmetry is not None:
+            self.symmetry.symmetrize_gradients()
         nn.utils.clip_grad_norm_(network.parameters(), self.max_grad_norm)
         optimizer.param_groups[0]["lr"] = rate
         optimizer.step()

@@ -1,12 +1,13 @@
-"""Left-right symmetry: data augmentation with mirrored samples for symmetric robots.
+"""Left-right symmetry: mirror images of samples for symmetric robots.
 
-The policy uses every sample twice in an update, unchanged and mirrored at the robot's sagittal plane (Mittal et al.
-2024, "Symmetry Considerations for Learning Task Symmetric Robot Policies").
+The policy learns from every sample twice, unchanged and mirrored at the robot's sagittal plane (Mittal et al. 2024,
+"Symmetry Considerations for Learning Task Symmetric Robot Policies").
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -135,6 +136,19 @@ def is_half_period_shifted(env: LocomotionEnv) -> bool:
     )
 
 
+class Reflection(NamedTuple):
+    """Mirror image of a vector: component k of the image is component source[k] of the vector, times sign[k]."""
+
+    source: torch.Tensor
+    """Indices (C,)."""
+    sign: torch.Tensor
+    """1 or -1 (C,)."""
+
+    def __call__(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the mirror image of values (..., C)."""
+        return values[..., self.source] * self.sign
+
+
 class MirrorSamples:
     """Mirror images of the policy's observations and actions.
 
@@ -151,14 +165,15 @@ class MirrorSamples:
             "policy": (env.observer.columns, env.task.history),
             "actions": (env.gait.action_names, 1),
         }
-        self._mirrors, motors = {}, mirror_motors(env.robot)
+        self.reflections: dict[str, Reflection] = {}
+        """Reflections of the groups `policy` (observations) and `actions`."""
+        motors = mirror_motors(env.robot)
         flipped = [column for name in env.observer.names for column in PARTS[name].flipped]
         for group, (names, times) in columns.items():
             source, sign = mirror_columns(names, half_period, motors, flipped)
             sources = np.concatenate([source + k * len(names) for k in range(times)])
-            self._mirrors[group] = (torch.from_numpy(sources), torch.from_numpy(np.tile(sign, times)))
+            self.reflections[group] = Reflection(torch.from_numpy(sources), torch.from_numpy(np.tile(sign, times)))
 
     def mirror(self, group: str, values: torch.Tensor) -> torch.Tensor:
         """Return the mirror image of the values (B, C) of a group: policy or actions."""
-        source, sign = self._mirrors[group]
-        return values[:, source] * sign
+        return self.reflections[group](values)

@@ -165,14 +165,18 @@ class HybridGait:
         if self.action_kind == "angle":
             return feedback
         reference, feedforward = self.reference, self.reference.feedforward
-        pose = reference.pose(time, state)
+        lead = None
+        if feedforward.moves_poses:
+            pose, rate = reference.pose_and_rate(time, state)
+            lead = feedforward.velocity * rate
+            if feedforward.acceleration:
+                lead += feedforward.acceleration * reference.pose_acceleration(time, state)
+        else:
+            pose = reference.pose(time, state)
         joint = self.action_kind == "joint"
         if not joint:
             pose = pose + feedback.reshape(len(feedback), *self._shape)
-        if feedforward.moves_poses:
-            lead = feedforward.velocity * reference.pose_rate(time, state)
-            if feedforward.acceleration:
-                lead += feedforward.acceleration * reference.pose_acceleration(time, state)
+        if lead is not None:
             pose = np.clip(pose + lead, *self._space)
         motors = self.robot.to_motors(pose)
         if feedforward.weight:

@@ -107,6 +107,10 @@ class Reference(ABC):
         time = np.asarray(time, float)
         return (self.pose(time + RATE_STEP) - self.pose(time - RATE_STEP)) / (2 * RATE_STEP)
 
+    def pose_and_rate(self, time: ArrayLike, state: CommandState | None = None) -> tuple[Array, Array]:
+        """Return the leg poses and their velocities, (N, C, L) each, see `pose` and `pose_rate`."""
+        return self.pose(time, state), self.pose_rate(time, state)
+
     def pose_acceleration(self, time: ArrayLike, state: CommandState | None = None) -> Array:
         """Return the accelerations of leg poses (N, C, L) at times (N,) [s], in leg space units per second squared."""
         time = np.asarray(time, float)
@@ -214,17 +218,23 @@ class FollowingReference(Reference):
         return self.kinematics.load(state)
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the leg poses (N, C, L) for the commands and phases in the state; `time` is not used."""
+        """Return the leg poses (..., N, C, L) for the state's commands and phases (..., N); `time` is not used."""
         assert state is not None
         return self.kinematics.pose(state, *self.choice.choose(state.command))
 
     def pose_rate(self, time: ArrayLike, state: CommandState | None = None) -> Array:
         """Return the velocities of leg poses (N, C, L) [leg space units per second] for commands and phases."""
+        return self.pose_and_rate(time, state)[1]
+
+    def pose_and_rate(self, time: ArrayLike, state: CommandState | None = None) -> tuple[Array, Array]:
+        """Return the leg poses and their velocities, (N, C, L) each, for commands and phases."""
         assert state is not None
         # The frequency of the first gait, also while the gait over holes is active.
         change = RATE_STEP * self.choice.frequency(state.command)
-        before, after = (self.pose(time, replace(state, phase=state.phase + sign * change)) for sign in (-1, 1))
-        return (after - before) / (2 * RATE_STEP)
+        # One call for three phases takes half the time of three calls.
+        phases = np.stack([state.phase, state.phase - change, state.phase + change])
+        pose, before, after = self.pose(time, replace(state, phase=phases))
+        return pose, (after - before) / (2 * RATE_STEP)
 
     def pose_acceleration(self, time: ArrayLike, state: CommandState | None = None) -> Array:
         """Return the accelerations of leg poses (N, C, L) for commands and phases."""

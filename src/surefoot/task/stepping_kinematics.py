@@ -93,7 +93,7 @@ class SteppingKinematics:
         return float(length[int(np.argmin(is_reached)) - 1 if not is_reached.all() else -1, 0])
 
     def pose(self, state: CommandState, strides: Array, stride_fraction: Array) -> Array:
-        """Return the leg poses (N, C, L) in leg space for the state's phases; NaN out of reach.
+        """Return the leg poses (..., N, C, L) in leg space for the state's phases (..., N); NaN out of reach.
 
         Args:
             state: phases, stepping amplitudes, lifts and footholds.

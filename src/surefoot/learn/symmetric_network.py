@@ -1,0 +1,112 @@
+"""Policies that are left-right symmetric by their weights, so that mirror images of samples need not be run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import torch
+from rsl_rl.models import MLPModel
+from torch import nn
+
+from surefoot.learn.normalization import update_normalizer
+from surefoot.learn.symmetry import MirrorSamples, Reflection
+
+_TOLERANCE = 1e-6
+"""Differences between a parameter and its image that come from rounding."""
+
+
+class _SymmetricParameter(NamedTuple):
+    """A parameter that equals its image in a symmetric policy."""
+
+    parameter: torch.Tensor
+    reflection: Reflection
+    """Reflection of its flattened elements."""
+
+    def image(self, values: torch.Tensor) -> torch.Tensor:
+        """Return the image of values in the shape of the parameter."""
+        return self.reflection(values.flatten()).view_as(values)
+
+
+class PolicySymmetry:
+    """Left-right symmetry of an MLP policy p: M p(x) = p(M x), where M is the mirror image.
+
+    Hidden units are pairs: unit k + H // 2 of H sees mirrored inputs with the weights of unit k (with an odd H the last
+    unit is its own partner). A symmetric policy's gradient for samples and their mirror images is the mean of the
+    gradient for the samples and its image. Hence it learns from both in the time of one, and remains symmetric
+    (Ordonez-Apraez et al. 2023, "On discrete symmetries of robotics systems").
+
+    Args:
+        actor: policy with an MLP; its normalizer is part of it.
+        mirror: mirror images of its observations and actions.
+    """
+
+    def __init__(self, actor: MLPModel, mirror: MirrorSamples) -> None:
+        self._normalizer, self._mirror = actor.obs_normalizer, mirror
+        layers = [layer for layer in actor.mlp if isinstance(layer, nn.Linear)]
+        self._parameters: list[_SymmetricParameter] = []
+        before = mirror.reflections["policy"]
+        for layer in layers:
+            after = mirror.reflections["actions"] if layer is layers[-1] else _swap_halves(layer.out_features)
+            self._parameters += [
+                _SymmetricParameter(layer.weight, _reflect_matrix(after, before)),
+                _SymmetricParameter(layer.bias, after),
+            ]
+            before = after
+        sizes = Reflection(before.source, torch.ones_like(before.sign))  # standard deviations have no sign
+        self._parameters.append(_SymmetricParameter(actor.distribution.log_std_param, sizes))
+
+    def impose(self) -> None:
+        """Make a new policy symmetric: the first parameter of each pair determines the second."""
+        with torch.no_grad():
+            for one in self._parameters:
+                image, source = one.image(one.parameter), one.reflection.source.view_as(one.parameter)
+                place = torch.arange(source.numel()).view_as(source)
+                # An element that is its own partner is the mean of both, which is 0 where the sign changes.
+                own = torch.where(source == place, 0.5 * (one.parameter + image), one.parameter)
+                one.parameter.copy_(torch.where(source < place, image, own))
+
+    def holds(self) -> bool:
+        """Return whether the policy is symmetric up to rounding."""
+        pairs = [(one.parameter, one.image(one.parameter)) for one in self._parameters]
+        pairs += [(buffer, image) for buffer, image in self._statistics()]
+        return all(torch.allclose(*pair, rtol=_TOLERANCE, atol=_TOLERANCE) for pair in pairs)
+
+    def symmetrize_gradients(self) -> None:
+        """Replace gradients for samples by those for the samples and their mirror images."""
+        for one in self._parameters:
+            if (gradient := one.parameter.grad) is not None:
+                gradient.add_(one.image(gradient)).mul_(0.5)
+
+    def update_normalization(self, observations: torch.Tensor) -> None:
+        """Update the normalizer with observations (B, O) and their mirror images."""
+        update_normalizer(self._normalizer, observations, self._mirror.reflections["policy"])
+
+    def remove_rounding(self) -> None:
+        """Remove the differences between images that rounding makes."""
+        with torch.no_grad():
+            for one in self._parameters:
+                one.parameter.add_(one.image(one.parameter)).mul_(0.5)
+            for buffer, image in self._statistics():
+                buffer.copy_(0.5 * (buffer + image))
+
+    def _statistics(self) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+        """Yield the statistics of the normalizer with their images."""
+        reflect = self._mirror.reflections["policy"]
+        yield self._normalizer._mean, reflect(self._normalizer._mean)
+        for buffer in (self._normalizer._var, self._normalizer._std):
+            yield buffer, buffer[:, reflect.source]
+
+
+def _swap_halves(units: int) -> Reflection:
+    """Return the reflection that swaps the first and the second half of some units."""
+    half, source = units // 2, torch.arange(units)
+    source[:half] += half
+    source[half : 2 * half] -= half
+    return Reflection(source, torch.ones(units))
+
+
+def _reflect_matrix(rows: Reflection, columns: Reflection) -> Reflection:
+    """Return the reflection of a flattened matrix whose rows and columns are reflected."""
+    source = rows.source[:, None] * len(columns.source) + columns.source
+    return Reflection(source.flatten(), (rows.sign[:, None] * columns.sign).flatten())
