@@ -107,10 +107,10 @@ def test_a_minibatch_runs_mirror_images_only_through_a_policy_that_is_not_symmet
     is_symmetric: bool, policy_samples: int
 ) -> None:
     learner = make_learner(True)
-    assert learner.algorithm.symmetry is not None
+    assert learner.algorithm.policy_symmetry is not None
     if not is_symmetric:
         learner.algorithm.load(make_learner(False).algorithm.save(), None, strict=True)
-    assert (learner.algorithm.symmetry is not None) is is_symmetric
+    assert (learner.algorithm.policy_symmetry is not None) is is_symmetric
     passes: dict[str, list[int]] = {"actor": [], "critic": []}
     for name, sizes in passes.items():
         network = getattr(learner.algorithm, name).mlp

@@ -105,7 +105,7 @@ def test_a_policy_remains_exactly_symmetric_while_it_learns() -> None:
     torch.testing.assert_close(
         torch.from_numpy(learner.act(images.numpy())), mirror.mirror("actions", torch.from_numpy(actions))
     )
-    symmetry = learner.algorithm.symmetry
+    symmetry = learner.algorithm.policy_symmetry
     assert symmetry is not None
     for one in symmetry._parameters:
         assert torch.equal(one.parameter, one.image(one.parameter))
@@ -116,15 +116,15 @@ def test_a_state_that_is_not_symmetric_is_not_changed() -> None:
     plain = PpoLearner(replace(config, ppo=replace(config.ppo, symmetry=False)), SimWorld)
     plain.update()
     learner = PpoLearner(config, SimWorld)
-    assert learner.algorithm.symmetry is not None
+    assert learner.algorithm.policy_symmetry is not None
     learner.set_state(plain.get_state())
-    assert learner.algorithm.symmetry is None
+    assert learner.algorithm.policy_symmetry is None
     for one, other in zip(learner.policy.parameters(), plain.policy.parameters(), strict=True):
         assert torch.equal(one, other)
     symmetric = PpoLearner(config, SimWorld)
     symmetric.update()
     learner.set_state(symmetric.get_state())
-    assert learner.algorithm.symmetry is not None
+    assert learner.algorithm.policy_symmetry is not None
 
 
 def test_a_normalizer_is_updated_as_by_rsl_rl() -> None:

@@ -33,8 +33,8 @@ class PPOConfig:
     """The critic also receives privileged observations: the true state of the simulation. Policies do not need it."""
     symmetry: bool = False
     """The policy also learns from the mirror image of each sample, for reference gaits that are left-right symmetric;
-    a new policy is symmetric itself. For robots whose sides differ by more than 0.5 % of the leg length, mirrored samples
-    are disabled with a note."""
+    a new policy is symmetric itself. For robots whose sides differ by more than 0.5 % of the leg length, mirrored
+    samples are disabled with a note."""
     init_std: Annotated[float, Within(0, 100, exclusive=True)] = 0.6
     """Initial standard deviation of normalized actions (-1 to 1)."""
     final_std: Annotated[float, Within(0, 100)] = 0.0

@@ -94,11 +94,11 @@ class ParallelPPO(PPO):
     def __init__(self, *args: Any, mirror: MirrorSamples | None = None, threads: int = 1, **settings: Any) -> None:
         super().__init__(*args, **settings)
         self.mirror = mirror
-        self._policy_symmetry = None
+        self._own_symmetry = None
         if mirror is not None and isinstance(self.actor.mlp, MLP):
-            self._policy_symmetry = PolicySymmetry(self.actor, mirror)
-            self._policy_symmetry.impose()
-        self.symmetry = self._policy_symmetry
+            self._own_symmetry = PolicySymmetry(self.actor, mirror)
+            self._own_symmetry.impose()
+        self.policy_symmetry = self._own_symmetry
         """Symmetry of the policy by its weights. Without it, the policy learns from mirror images, if there are any."""
         self._pool = None
         if threads > 1:
@@ -118,8 +118,8 @@ class ParallelPPO(PPO):
         """Load models and optimizer, see rsl_rl."""
         loaded: bool = super().load(loaded_dict, load_cfg, strict)
         self._share_optimizer_state()
-        own = self._policy_symmetry
-        self.symmetry = own if own is not None and own.holds() else None
+        own = self._own_symmetry
+        self.policy_symmetry = own if own is not None and own.holds() else None
         return loaded
 
     def update(self) -> dict[str, float]:
@@ -140,9 +140,9 @@ class ParallelPPO(PPO):
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate
         observations = store.observations.flatten(0, 1)
-        if self.symmetry is not None:
-            self.symmetry.update_normalization(observations["policy"])
-            self.symmetry.remove_rounding()
+        if self.policy_symmetry is not None:
+            self.policy_symmetry.update_normalization(observations["policy"])
+            self.policy_symmetry.remove_rounding()
         else:
             self._update_normalizer(self.actor, observations)
         self._update_normalizer(self.critic, observations)
@@ -159,7 +159,7 @@ class ParallelPPO(PPO):
         observations, actions = store.observations["policy"].flatten(0, 1), store.actions.flatten(0, 1)
         inputs = [normalize(observations)]
         chosen = [actions]
-        if self.mirror is not None and self.symmetry is None:
+        if self.mirror is not None and self.policy_symmetry is None:
             inputs.append(normalize(self.mirror.mirror("policy", observations)))
             chosen.append(self.mirror.mirror("actions", actions))
         mean, std = (one.flatten(0, 1) for one in store.distribution_params or ())
@@ -237,8 +237,8 @@ class ParallelPPO(PPO):
         optimizer = self._optimizers[name]
         optimizer.zero_grad()
         loss.backward()
-        if name == "actor" and self.symmetry is not None:
-            self.symmetry.symmetrize_gradients()
+        if name == "actor" and self.policy_symmetry is not None:
+            self.policy_symmetry.symmetrize_gradients()
         nn.utils.clip_grad_norm_(network.parameters(), self.max_grad_norm)
         optimizer.param_groups[0]["lr"] = rate
         optimizer.step()
