@@ -91,6 +91,41 @@ def test_an_update_is_that_of_rsl_rl(threads: int, symmetry: bool, desired_kl: f
     assert algorithm.learning_rate != learner.config.ppo.learning_rate
 
 
+def test_returns_of_a_rollout_are_those_of_its_rewards(monkeypatch: pytest.MonkeyPatch) -> None:
+    learner = make_learner(True)
+    algorithm, store = learner.algorithm, learner.algorithm.storage
+    learner.env.task = replace(learner.env.task, max_steps=3)  # episodes end by time within the rollout
+    steps: list[tuple[torch.Tensor, ...]] = []
+    process = ParallelPPO.process_env_step
+
+    def record(own: ParallelPPO, obs: TensorDict, rewards: torch.Tensor, dones: torch.Tensor, extras: Any) -> None:
+        steps.append((rewards.clone(), dones.clone(), extras["time_outs"].clone()))
+        process(own, obs, rewards, dones, extras)
+
+    monkeypatch.setattr(ParallelPPO, "process_env_step", record)
+    learner._roll_out()
+    rewards, dones, time_outs = (torch.stack(parts) for parts in zip(*steps, strict=True))
+    assert dones.any()
+    assert torch.equal(time_outs.bool(), dones)
+    with torch.no_grad():
+        values = torch.stack([algorithm.critic(store.observations[k])[:, 0] for k in range(4)])
+        following = algorithm.critic(learner.observation)[:, 0]
+        algorithm.actor(store.observations.flatten(0, 1), stochastic_output=True)
+        density = algorithm.actor.get_output_log_prob(store.actions.flatten(0, 1))
+    advantage = torch.zeros(6)
+    for k in reversed(range(4)):
+        # rsl_rl continues an episode that ended by its time with the value of its last observation.
+        reward = rewards[k] + algorithm.gamma * values[k] * time_outs[k]
+        goes_on = 1.0 - dones[k].float()
+        error = reward + algorithm.gamma * goes_on * following - values[k]
+        advantage = error + algorithm.gamma * algorithm.lam * goes_on * advantage
+        following = values[k]
+        torch.testing.assert_close(store.returns[k, :, 0], advantage + values[k], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(store.actions_log_prob.flatten(), density, atol=1e-5, rtol=1e-5)
+    spread = (store.actions - store.distribution_params[0]) / learner.config.ppo.init_std
+    assert 0.8 < spread.std() < 1.2
+
+
 def test_results_do_not_depend_on_the_number_of_threads() -> None:
     parameters = []
     for threads in (1, 2):
@@ -118,7 +153,7 @@ def test_a_minibatch_runs_mirror_images_only_through_a_policy_that_is_not_symmet
     learner.update()
     # 4 steps of 6 robots: 24 samples in three minibatches, for two epochs.
     assert [n for n in passes["actor"] if n != 6] == [policy_samples] * 6
-    assert [n for n in passes["critic"] if n != 6] == [8] * 6
+    assert [n for n in passes["critic"] if n not in (6, 24)] == [8] * 6
 
 
 def test_an_interrupted_update_does_not_leave_the_critic_waiting() -> None:

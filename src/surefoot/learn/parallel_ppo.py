@@ -100,6 +100,8 @@ class ParallelPPO(PPO):
             self._own_symmetry.impose()
         self.policy_symmetry = self._own_symmetry
         """Symmetry of the policy by its weights. Without it, the policy learns from mirror images, if there are any."""
+        self._time_outs = torch.zeros_like(self.storage.rewards)
+        """Whether an episode ended by its time (T, N, 1)."""
         self._pool = None
         if threads > 1:
             self._pool = ThreadPoolExecutor(1, "critic", initializer=torch.set_num_threads, initargs=(1,))
@@ -121,6 +123,48 @@ class ParallelPPO(PPO):
         own = self._own_symmetry
         self.policy_symmetry = own if own is not None and own.holds() else None
         return loaded
+
+    def act(self, obs: TensorDict) -> torch.Tensor:
+        """Sample actions (N, A) and store them with the observations.
+
+        `compute_returns` adds densities and values, at once for the whole rollout.
+        """
+        store = self.storage
+        mean = self.actor.mlp(self.actor.get_latent(obs))
+        std = self._log_std().exp()
+        if store.distribution_params is None:
+            store.distribution_params = (torch.zeros_like(store.actions), torch.zeros_like(store.actions))
+        store.observations[store.step].copy_(obs)
+        store.distribution_params[0][store.step] = mean
+        store.distribution_params[1][store.step] = std
+        actions = store.actions[store.step]
+        return torch.addcmul(mean, torch.randn_like(mean), std, out=actions)
+
+    def process_env_step(
+        self, obs: TensorDict, rewards: torch.Tensor, dones: torch.Tensor, extras: dict[str, torch.Tensor]
+    ) -> None:
+        """Store the results of a control step: rewards (N,), `dones` (N,), and `time_outs` (N,) in `extras`."""
+        store = self.storage
+        store.rewards[store.step, :, 0] = rewards
+        store.dones[store.step, :, 0] = dones
+        self._time_outs[store.step, :, 0] = extras["time_outs"]
+        store.step += 1
+
+    def compute_returns(self, obs: TensorDict) -> None:
+        """Compute values, densities, returns and advantages of a complete rollout, whose last observation is `obs`."""
+        store = self.storage
+        store.values.copy_(self.critic(store.observations.flatten(0, 1)).view_as(store.values))
+        store.rewards.addcmul_(self._time_outs, store.values, value=self.gamma)  # episodes would have gone on
+        assert store.distribution_params is not None
+        mean = store.distribution_params[0]
+        store.actions_log_prob.copy_(_log_density(store.actions, mean, self._log_std()).unsqueeze(-1))
+        super().compute_returns(obs)
+
+    def _log_std(self) -> torch.Tensor:
+        """Return the logarithm of the policy's standard deviations (A,)."""
+        distribution = self.actor.distribution
+        log_std: torch.Tensor = distribution.log_std_param.clamp(*distribution.log_std_range)
+        return log_std
 
     def update(self) -> dict[str, float]:
         """Run the epochs of an update on the stored rollout, and return the mean losses by name."""
@@ -175,24 +219,20 @@ class ParallelPPO(PPO):
         self, samples: _PolicySamples, size: int, rates: SimpleQueue[float | None]
     ) -> tuple[float, float]:
         """Run the policy's epochs and pass on each learning rate; return the sums of losses and of entropies."""
-        network, parameter = self.actor.mlp, self.actor.distribution.log_std_param
-        limits = self.actor.distribution.log_std_range
-        actions = samples.actions.shape[-1]
-        constant, losses, entropies = 0.5 * actions * math.log(2 * math.pi), 0.0, 0.0
+        network, losses, entropies = self.actor.mlp, 0.0, 0.0
+        constant = 0.5 * samples.actions.shape[-1] * (1.0 + math.log(2 * math.pi))
         for _ in range(self.num_learning_epochs):
             for batch in samples.batches(size):
                 mean = network(batch.inputs.flatten(0, 1)).unflatten(0, batch.inputs.shape[:2])
-                log_std = parameter.clamp(*limits)
-                inverse = torch.exp(-log_std)
+                log_std = self._log_std()
                 if self.schedule == "adaptive":
                     with torch.no_grad():
-                        self._adapt_learning_rate(batch, mean[:, 0], inverse)
+                        self._adapt_learning_rate(batch, mean[:, 0], torch.exp(-log_std))
                 rates.put(self.learning_rate)
-                log_prob = -0.5 * ((batch.actions - mean) * inverse).square().sum(-1) - log_std.sum() - constant
-                ratio = torch.exp(log_prob - batch.log_prob)
+                ratio = torch.exp(_log_density(batch.actions, mean, log_std) - batch.log_prob)
                 clipped = ratio.clamp(1.0 - self.clip_param, 1.0 + self.clip_param)
                 surrogate = -torch.min(batch.advantages * ratio, batch.advantages * clipped).mean()
-                entropy = log_std.sum() + constant + 0.5 * actions
+                entropy = log_std.sum() + constant
                 self._step("actor", surrogate - self.entropy_coef * entropy, self.learning_rate)
                 losses += surrogate.item()
                 entropies += entropy.item()
@@ -242,3 +282,9 @@ class ParallelPPO(PPO):
         nn.utils.clip_grad_norm_(network.parameters(), self.max_grad_norm)
         optimizer.param_groups[0]["lr"] = rate
         optimizer.step()
+
+
+def _log_density(actions: torch.Tensor, mean: torch.Tensor, log_std: torch.Tensor) -> torch.Tensor:
+    """Return the logarithm of a Gaussian policy's density (...) at actions (..., A)."""
+    squares = ((actions - mean) * torch.exp(-log_std)).square().sum(-1)
+    return -0.5 * squares - log_std.sum() - 0.5 * len(log_std) * math.log(2 * math.pi)
