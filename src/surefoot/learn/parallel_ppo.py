@@ -74,7 +74,7 @@ class _ValueSamples(_Samples):
 
 
 class ParallelPPO(PPO):
-    """PPO of rsl_rl whose update takes about half the time for small networks on a CPU.
+    """PPO of rsl_rl whose update takes about a third of the time for small networks on a CPU.
 
     Policy and critic share neither parameters nor a loss, so they learn on two threads. Each operation uses one thread,
     so results do not depend on the number of cores. Observations are normalized once per update, because the
