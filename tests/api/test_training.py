@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,6 +42,20 @@ def test_gains_that_differ_from_the_previous_run_are_reported(tmp_path: Path) ->
     note = note_after_steer(tmp_path, "terrain", "go2")
     assert note is not None
     assert "params.servo_kp not set (was 40.0), params.servo_kd not set (was 1.0), reference." in note
+
+
+def test_another_robot_than_that_of_the_previous_run_is_reported(tmp_path: Path) -> None:
+    run = RunFolder.create_at(load_train_config("trot", "solo8"), tmp_path / "run")
+    note = start_note(replace(load_train_config("trot", "go2"), start_from=str(run.path)))
+    assert note is not None
+    assert "another robot" in note
+    assert "robot go2 (was solo8), " in note
+    # The copy in the folder of a run is the same robot.
+    folder = tmp_path / "own"
+    shutil.copytree(RobotDescription.find_folder("go2"), folder)
+    own = load_train_config("trot", str(folder))
+    other = RunFolder.create_at(own, tmp_path / "other")
+    assert start_note(replace(own, start_from=str(other.path))) is None
 
 
 def test_ranges_that_replace_given_values_are_reported() -> None:

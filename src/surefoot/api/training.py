@@ -89,7 +89,12 @@ def start_note(config: TrainConfig) -> str | None:
     if config.start_from is None:
         return None
     previous, task = RunFolder.open(Path(config.start_from))[1].task, config.task
-    changes = [
+    before, now = (RobotDescription.load(one.robot) for one in (previous, task))
+    changes = []
+    if before.archive != now.archive:
+        was = f"was {before.name}" if before.name != now.name else "its files have changed"
+        changes.append(f"robot {now.name} ({was})")
+    changes += [
         change
         for table in ("params", "reference")
         for change in _changes(to_mapping(getattr(previous, table)), to_mapping(getattr(task, table)), table)
@@ -98,7 +103,7 @@ def start_note(config: TrainConfig) -> str | None:
         return None
     more = f" and {len(changes) - _MAX_LISTED_CHANGES} more" if len(changes) > _MAX_LISTED_CHANGES else ""
     return (
-        f"the policy of {config.start_from} was trained with another reference or other parameters, so its actions had "
+        f"the policy of {config.start_from} was trained with another robot, reference or parameters, so its actions had "
         f"other effects: {', '.join(changes[:_MAX_LISTED_CHANGES])}{more}"
     )
 

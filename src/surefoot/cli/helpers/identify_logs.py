@@ -81,7 +81,7 @@ def identify_from_logs(command: TracesCommand, robot: RobotDescription) -> int:
     fitted = [name for name in logs if name not in command.hold_out]
     ordered = [logs[name] for name in [*fitted, *command.hold_out]]
     check_new_logs(command.params, prior, {log.name: motion_digest(log) for log in ordered}, all_digest(ordered))
-    # Gains given by --set take precedence over the logs' gains, and these over an earlier fit.
+    # Gains given by --set take precedence, then those that an earlier fit estimated, then those that the logs state.
     logged = common_gains(logs.values())
     settings = parse_settings([word for group in command.settings for word in group])
     stated = {**logged, **settings}
