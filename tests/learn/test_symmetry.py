@@ -19,8 +19,10 @@ from surefoot.learn.symmetry import (
     MirrorSamples,
     is_half_period_shifted,
     mirror_columns,
+    mirror_motors,
     mirror_name,
 )
+from surefoot.robot import RobotDescription
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
 from surefoot.robot.randomization import load_ranges
@@ -54,6 +56,38 @@ def test_mirrored_columns_worked_by_hand():
 def test_a_column_without_counterpart_is_rejected():
     with pytest.raises(SurefootError, match=r"angle\.right_1.*no counterpart"):
         mirror_columns(["angle.left_1"])
+
+
+def test_a_column_whose_counterpart_has_another_sign_is_rejected():
+    names = ["side.left", "side.right"]
+    assert mirror_columns(names, extra_flipped=names)[1].tolist() == [-1, -1]
+    with pytest.raises(SurefootError, match=r"mirror image of side\.right is not side\.left with the same sign"):
+        mirror_columns(names, extra_flipped=["side.left"])
+
+
+def test_numbers_of_the_memory_are_pairs():
+    names = ["roll", *(f"memory.{k}" for k in range(5))]
+    source, sign = mirror_columns(names)
+    assert source.tolist() == [0, 3, 4, 1, 2, 5]
+    assert sign.tolist() == [-1, 1, 1, 1, 1, 1]
+
+
+def test_legs_that_are_not_called_left_and_right_are_rejected():
+    robot = RobotDescription.load("go2")
+    legs = [replace(leg, name=leg.name.replace("left", "l").replace("right", "r")) for leg in robot.legs]
+    with pytest.raises(SurefootError, match=r"leg front_[lr] has no counterpart; legs must be called left and right"):
+        mirror_motors(replace(robot, legs=type(robot.legs)(legs)))
+
+
+def test_bounds_that_are_no_mirror_images_are_rejected():
+    task = replace(load_task("trot", "go2")[0], action="joint")
+    for joint, fits in (((-0.3, 0.3), True), ((-0.2, 0.5), False)):
+        env = make_env(replace(task, feedback=replace(task.feedback, joint=joint)))
+        if fits:
+            MirrorSamples(env)
+            continue
+        with pytest.raises(SurefootError, match=r"from -0\.2 to 0\.5, and in the mirror image from -0\.5 to 0\.2"):
+            MirrorSamples(env)
 
 
 def wave(*phase: float) -> TaskConfig:

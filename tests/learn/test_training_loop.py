@@ -328,15 +328,15 @@ def put(value: object, *keys: object):
     return change
 
 
-def spoil(*keys: object):
-    """Return a function that changes a state by setting the first number of an array or tensor to NaN."""
+def spoil(*keys: object, value: float = float("nan")):
+    """Return a function that changes a state by setting the first number of an array or tensor to a value."""
 
     def change(state: dict) -> None:
         for key in keys:
             state = state[key]
-        state.reshape(-1)[0] = float("nan")  # type: ignore[attr-defined]
+        state.reshape(-1)[0] = value  # type: ignore[attr-defined]
 
-    change.__name__ = f"NaN in {'.'.join(map(str, keys))}"
+    change.__name__ = f"{value} in {'.'.join(map(str, keys))}"
     return change
 
 
@@ -356,6 +356,7 @@ CHANGES = [
     *(put(None, "learner", "observation"), put(np.zeros((16, 1), np.float32), "learner", "observation", "policy")),
     *(put(..., "learner", "env", "history"), put(np.zeros(3), "learner", "env", "history")),
     *(put(None, "learner", "env", "world"), put("x", "learner", "env", "world", "engine")),
+    *(spoil(*MOMENTS, 0, "step", value=-1.0), spoil(*MOMENTS, 0, "exp_avg_sq", value=-1.0)),
     *(put([], "learner", "env", "world", "streams"), put("x", "learner", "env", "world", "streams", 0, "state")),
     *(put(-5, "learner", "env", "world", "streams", 0, "state", "state"), spoil(*MOMENTS, 0, "exp_avg")),
     *(put(10**60, "learner", "env", "world", "streams", 0, "state", "inc"), spoil("best_actor", "mlp.0.weight")),

@@ -235,6 +235,20 @@ def test_a_new_observation_has_the_normalization_of_the_critic(tmp_path: Path) -
         assert torch.equal(getattr(actor, name)[-len(places) :], getattr(learned, name)[places])
 
 
+@pytest.mark.parametrize("task", [{}, {"history": 3}])
+def test_a_policy_remains_symmetric_in_a_warm_start(task: dict[str, object], tmp_path: Path) -> None:
+    """New inputs have the normalization of the critic, which is not symmetric."""
+    before = train(tmp_path / "first", tiny_config(ppo={"symmetry": True}), stop_after=2)
+    assert before.learner.algorithm.policy_symmetry is not None
+    config = tiny_config(start_from=str(before.folder.path), task=task, ppo={"symmetry": True})
+    loop = TrainingLoop.create(config, RunFolder.create(config, tmp_path), SimWorld)
+    assert loop.learner.algorithm.policy_symmetry is not None
+    asymmetric = train(tmp_path / "other", tiny_config(), stop_after=2)
+    config = tiny_config(start_from=str(asymmetric.folder.path), task=task, ppo={"symmetry": True})
+    loop = TrainingLoop.create(config, RunFolder.create(config, tmp_path), SimWorld)
+    assert loop.learner.algorithm.policy_symmetry is None
+
+
 def test_start_from_rejects_a_task_without_an_observation_that_the_policy_needs(
     whole: TrainingLoop, tmp_path: Path
 ) -> None:

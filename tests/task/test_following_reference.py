@@ -14,7 +14,7 @@ from surefoot.robot import RobotDescription
 from surefoot.task.commands import CommandState
 from surefoot.task.config import TaskConfig, load_task
 from surefoot.task.gait import HybridGait
-from surefoot.task.reference import FollowingReference
+from surefoot.task.reference import RATE_STEP, FollowingReference
 
 ROBOTS = ("minitaur", "solo8", "go2", "pupper_v2")
 
@@ -161,3 +161,31 @@ def test_a_stride_out_of_reach_is_rejected() -> None:
     data["foot"]["stroke"] = dict.fromkeys(reference.feet.legs, 0.8)
     with pytest.raises(SurefootError, match="out of the leg's reach"):
         read_reference(data | {"stride_gain": 3.0}, reference.robot, reference.limits)
+
+
+@pytest.mark.parametrize("robots", [1, 5])
+@pytest.mark.parametrize(
+    ("task", "robot"),
+    [("steer", "minitaur"), ("steer", "go2"), ("terrain", "pupper_v2"), ("terrain-seeing", "go2")],
+)
+def test_pose_and_rate_are_those_of_single_phases(task: str, robot: str, robots: int) -> None:
+    reference = load_task(task, robot)[0].gait(RobotDescription.load(robot)).reference
+    assert isinstance(reference, FollowingReference)
+    draws, limits, legs = np.random.default_rng(0), reference.limits, len(reference.feet.legs)
+    radius, lift = reference.foothold_radius, reference.touch_clearance
+    walking = CommandState(
+        draws.uniform(limits.low, limits.high, (robots, 3)),
+        draws.uniform(0.2, 1.0, robots),
+        draws.uniform(0.0, 1.0, robots),
+        lift_off=draws.uniform(-0.5, 0.5, (robots, legs, 2)) * radius if radius else None,
+        landing=draws.uniform(-0.5, 0.5, (robots, legs, 2)) * radius if radius else None,
+        lift=draws.uniform(0.0, 1.0, (robots, legs)) * lift if lift else None,
+        over_holes=draws.uniform(0.0, 1.0, robots) if reference.over_holes else None,
+    )
+    assert (reference.over_holes is not None) is (task == "terrain-seeing")
+    pose, rate = reference.pose_and_rate(0.0, walking)
+    change = RATE_STEP * reference.choice.frequency(walking.command)
+    before, after = (reference.pose(0.0, replace(walking, phase=walking.phase + s * change)) for s in (-1, 1))
+    np.testing.assert_allclose(pose, reference.pose(0.0, walking), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(rate, (after - before) / (2 * RATE_STEP), rtol=0, atol=1e-10)
+    assert np.abs(rate).max() > 0.1

@@ -103,8 +103,8 @@ def start_note(config: TrainConfig) -> str | None:
         return None
     more = f" and {len(changes) - _MAX_LISTED_CHANGES} more" if len(changes) > _MAX_LISTED_CHANGES else ""
     return (
-        f"the policy of {config.start_from} was trained with another robot, reference or parameters, so its actions had "
-        f"other effects: {', '.join(changes[:_MAX_LISTED_CHANGES])}{more}"
+        f"the policy of {config.start_from} was trained with another robot, reference or parameters, so its actions "
+        f"had other effects: {', '.join(changes[:_MAX_LISTED_CHANGES])}{more}"
     )
 
 

@@ -93,6 +93,9 @@ def check_optimizer(state: Any, parameters: list[torch.nn.Parameter], where: str
         _check_type(moments, dict, f"{where}.{number}", "a table")
         template = dict.fromkeys(_ADAM_MOMENTS, parameters[number].detach()) | {"step": torch.zeros(())}
         check_like(moments, template, f"{where}.{number}")
+        for name in ("step", "exp_avg_sq"):
+            if bool((moments[name] < 0).any()):
+                raise SurefootError(f"{where}.{number}.{name} has numbers below 0")
     check_finite(state, where)
 
 

@@ -69,7 +69,7 @@ def find_architecture(task: TaskConfig) -> Architecture | None:
 def make_algorithm(config: TrainConfig, env: LocomotionEnv, observation: TensorDict) -> ParallelPPO:
     """Return PPO with new networks, initialized with torch's global random generator.
 
-    With `ppo.symmetry`, mirrored samples are used if the robot's sides are mirror images.
+    With `ppo.symmetry`, the policy learns from mirror images too if the robot's sides are mirror images.
 
     Args:
         config: configuration of the run.

@@ -74,7 +74,7 @@ class _ValueSamples(_Samples):
 
 
 class ParallelPPO(PPO):
-    """PPO of rsl_rl whose update takes about a third of the time for small networks on a CPU.
+    """PPO of rsl_rl, faster for small networks on a CPU: an update of `steer` takes about a third of the time.
 
     Policy and critic share neither parameters nor a loss, so they learn on two threads. Each operation uses one thread,
     so results do not depend on the number of cores. Observations are normalized once per update, because the
@@ -119,9 +119,17 @@ class ParallelPPO(PPO):
     def load(self, loaded_dict: dict[str, Any], load_cfg: dict[str, bool] | None, strict: bool) -> bool:
         """Load models and optimizer, see rsl_rl."""
         loaded: bool = super().load(loaded_dict, load_cfg, strict)
+        for moments in self.optimizer.state.values():
+            # The fused step relies on each moment having its numbers in order in memory, which a file need not.
+            moments.update(
+                {name: value.clone(memory_format=torch.contiguous_format) for name, value in moments.items()}
+            )
         self._share_optimizer_state()
-        own = self._own_symmetry
-        self.policy_symmetry = own if own is not None and own.holds() else None
+        self.policy_symmetry = None
+        if self._own_symmetry is not None:
+            self._own_symmetry.mirror_unused_inputs()
+            if self._own_symmetry.holds():
+                self.policy_symmetry = self._own_symmetry
         return loaded
 
     def act(self, obs: TensorDict) -> torch.Tensor:

@@ -10,7 +10,7 @@ from rsl_rl.models import MLPModel
 from torch import nn
 
 from surefoot.learn.normalization import update_normalizer
-from surefoot.learn.symmetry import MirrorSamples, Reflection
+from surefoot.learn.symmetry import MirrorSamples, Reflection, swap_halves
 
 _TOLERANCE = 1e-6
 """Differences between a parameter and its image that come from rounding."""
@@ -47,7 +47,9 @@ class PolicySymmetry:
         self._parameters: list[_SymmetricParameter] = []
         before = mirror.reflections["policy"]
         for layer in layers:
-            after = mirror.reflections["actions"] if layer is layers[-1] else _swap_halves(layer.out_features)
+            units = layer.out_features
+            pairs = Reflection(torch.from_numpy(swap_halves(units)), torch.ones(units))
+            after = mirror.reflections["actions"] if layer is layers[-1] else pairs
             self._parameters += [
                 _SymmetricParameter(layer.weight, _reflect_matrix(after, before)),
                 _SymmetricParameter(layer.bias, after),
@@ -65,6 +67,15 @@ class PolicySymmetry:
                 # An element that is its own partner is the mean of both, which is 0 where the sign changes.
                 own = torch.where(source == place, 0.5 * (one.parameter + image), one.parameter)
                 one.parameter.copy_(torch.where(source < place, image, own))
+
+    def mirror_unused_inputs(self) -> None:
+        """Make the statistics of inputs without weights symmetric, such as those that a warm start has added."""
+        weight = self._parameters[0].parameter
+        reflect = self._mirror.reflections["policy"]
+        unused = (weight == 0.0).all(0)
+        unused &= unused[reflect.source]
+        for buffer, image in self._statistics():
+            buffer[:, unused] = 0.5 * (buffer + image)[:, unused]
 
     def holds(self) -> bool:
         """Return whether the policy is symmetric up to rounding."""
@@ -96,14 +107,6 @@ class PolicySymmetry:
         yield self._normalizer._mean, reflect(self._normalizer._mean)
         for buffer in (self._normalizer._var, self._normalizer._std):
             yield buffer, buffer[:, reflect.source]
-
-
-def _swap_halves(units: int) -> Reflection:
-    """Return the reflection that swaps the first and the second half of some units."""
-    half, source = units // 2, torch.arange(units)
-    source[:half] += half
-    source[half : 2 * half] -= half
-    return Reflection(source, torch.ones(units))
 
 
 def _reflect_matrix(rows: Reflection, columns: Reflection) -> Reflection:

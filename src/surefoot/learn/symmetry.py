@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 
 from surefoot.errors import SurefootError
+from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription, SerialLegs
 from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, is_symmetric, side_difference
 from surefoot.task.commands import CommandState
@@ -28,6 +29,9 @@ _SIGN_FLIPPED_COLUMNS = (
 _ANGLE_COLUMNS = ("angle", "last_angle", "speed", "joint", "last_joint")
 """Prefixes of motor columns that change sign in the mirror image together with the motor angle."""
 _PHASE = ("phase_sin", "phase_cos")
+_NAMES_OR_NONE = "legs must be called left and right, or --ppo.no-symmetry learns without mirrored samples"
+_BOUND_TOLERANCE = 0.02
+"""Difference between bounds of feedback and their mirror images [rad or unit of leg space] that does not matter."""
 _LEG_SPACE_GAIN = 4.0
 """Ratio of the difference of poses in leg space to the relative difference of leg lengths; bent legs magnify it."""
 
@@ -37,14 +41,27 @@ def mirror_name(name: str) -> str:
     return name.replace("left", "\0").replace("right", "left").replace("\0", "right")
 
 
+def swap_halves(number: int) -> NDArray[np.int64]:
+    """Return the indices that swap the first and the second half of a number of values; an odd last one stays."""
+    half, places = number // 2, np.arange(number)
+    places[:half] += half
+    places[half : 2 * half] -= half
+    return places
+
+
 def mirror_motors(robot: RobotDescription) -> dict[str, tuple[str, float]]:
     """Return the motor on the other side for each motor, and the sign of its angle in the mirror image.
 
     In the mirror image, rotations about the base's x axis (abduction) change sign, and rotations about y keep it.
+
+    Raises:
+        SurefootError: a leg on one side without a leg on the other.
     """
     legs, mirror = {leg.name: leg for leg in robot.legs}, {}
     for place, leg in enumerate(robot.legs):
         other = legs.get(mirror_name(leg.name), leg)
+        if other is leg and abs(robot.leg_mounts[place, 1]) > MAX_SIDE_DIFFERENCE * robot.leg_geometry.length:
+            raise SurefootError(f"symmetry: leg {leg.name} has no counterpart; {_NAMES_OR_NONE}")
         for k, motors in enumerate(zip(leg.motors, other.motors, strict=True)):
             sign = 1.0
             if isinstance(robot.leg_geometry, SerialLegs):
@@ -70,29 +87,36 @@ def mirror_columns(
         extra_flipped: columns of plug-ins that change sign.
 
     Raises:
-        SurefootError: a column without a counterpart.
+        SurefootError: a column without a counterpart, or whose counterpart has another one or another sign.
     """
     places = {name: place for place, name in enumerate(columns)}
     motors = motors or {}
 
+    memories = sum(name.startswith(f"{MEMORY}.") for name in columns)
+
     def other(name: str) -> str:
         prefix, _, motor = name.partition(".")
+        if prefix == MEMORY:  # pairs, so that a policy can remember on which side something was
+            return f"{MEMORY}.{swap_halves(memories)[int(motor)]}"
         return f"{prefix}.{motors[motor][0]}" if motor in motors else mirror_name(name)
 
     try:
         source = np.array([places[other(name)] for name in columns], np.int64)
     except KeyError as error:
-        raise SurefootError(
-            f"symmetry: column {error} has no counterpart; legs must be called left and right, or --ppo.no-symmetry "
-            "learns without mirrored samples"
-        ) from None
+        raise SurefootError(f"symmetry: column {error} has no counterpart; {_NAMES_OR_NONE}") from None
     flipped = {*_SIGN_FLIPPED_COLUMNS, *extra_flipped, *(_PHASE if half_period else ())}
     sign = [-1.0 if flipped & {name, name.partition(".")[0]} else 1.0 for name in columns]
     for place, name in enumerate(columns):
         prefix, _, motor = name.partition(".")
         if motor in motors and prefix in _ANGLE_COLUMNS:
             sign[place] = motors[motor][1]
-    return source, np.array(sign, np.float32)
+    signs = np.array(sign, np.float32)
+    if (odd := np.flatnonzero((source[source] != np.arange(len(source))) | (signs[source] != signs))).size:
+        raise SurefootError(
+            f"symmetry: the mirror image of {columns[source[odd[0]]]} is not {columns[odd[0]]} with the same sign; "
+            "give both columns in `flipped` or none, or --ppo.no-symmetry learns without mirrored samples"
+        )
+    return source, signs
 
 
 def mirror_note(robot: RobotDescription) -> str | None:
@@ -173,6 +197,21 @@ class MirrorSamples:
             source, sign = mirror_columns(names, half_period, motors, flipped)
             sources = np.concatenate([source + k * len(names) for k in range(times)])
             self.reflections[group] = Reflection(torch.from_numpy(sources), torch.from_numpy(np.tile(sign, times)))
+        self._check_bounds(env)
+
+    def _check_bounds(self, env: LocomotionEnv) -> None:
+        """Check that mirrored feedback is within the bounds: actions are relative to their middle."""
+        low, high, (source, sign) = env.gait.low, env.gait.high, self.reflections["actions"]
+        flips = sign.numpy() < 0
+        mirrored = np.where(flips, -high[source], low[source]), np.where(flips, -low[source], high[source])
+        apart = np.maximum(np.abs(mirrored[0] - low), np.abs(mirrored[1] - high))
+        if (odd := np.flatnonzero(apart > _BOUND_TOLERANCE)).size:
+            name, own = env.gait.action_names[odd[0]], f"{low[odd[0]]:.3g} to {high[odd[0]]:.3g}"
+            image = f"{mirrored[0][odd[0]]:.3g} to {mirrored[1][odd[0]]:.3g}"
+            raise SurefootError(
+                f"symmetry: {name} is bounded from {own}, and in the mirror image from {image}; bounds must be mirror "
+                "images, or --ppo.no-symmetry learns without mirrored samples"
+            )
 
     def mirror(self, group: str, values: torch.Tensor) -> torch.Tensor:
         """Return the mirror image of the values (B, C) of a group: policy or actions."""

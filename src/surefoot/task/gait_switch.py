@@ -37,7 +37,7 @@ class GaitSwitch(FollowingReference):
         return np.asarray(own + over_holes * (self.holes_gait.frequency(command) - own))
 
     def pose(self, time: ArrayLike, state: CommandState | None = None) -> Array:
-        """Return the leg poses (N, C, L) for the commands, phases and blend weight in the state."""
+        """Return the leg poses (..., N, C, L) for the state's commands, phases (..., N) and blend weight."""
         pose = super().pose(time, state)
         if state is None or state.over_holes is None or not state.over_holes.any():
             return pose

@@ -121,12 +121,12 @@ class SteppingKinematics:
         return self.robot.leg_geometry.foot_pose(foot)
 
     def _lift_profile(self, phase: Array) -> Array:
-        """Return the profile of the additional lift over the swing (N, L), 0 to 1: fast up, held, down at the end."""
+        """Return the profile of the additional lift over the swing (..., N, L), 0 to 1: fast up, held, down."""
         swing = self.feet.swing_phase(phase)
         return np.asarray(np.clip(np.minimum(swing / _LIFT_END_PHASE, (1.0 - swing) / _LOWERING_FRACTION), 0.0, 1.0))
 
     def _foothold_offset(self, phase: Array, lift_off: Array, landing: Array) -> Array:
-        """Return the offset of feet from their nominal stride positions (N, L, 2) [m]: a smooth step during swing."""
+        """Return the offset of feet from their nominal stride positions (..., N, L, 2) [m]: a smooth step in swing."""
         swing = np.clip(self.feet.swing_phase(phase) / _OFFSET_END_PHASE, 0.0, 1.0)[..., None]
         blend = np.where(swing > 0.0, swing**2 * (3.0 - 2.0 * swing), 1.0)
         return np.asarray(lift_off + blend * (landing - lift_off))
