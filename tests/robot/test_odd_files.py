@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,11 +13,11 @@ from odd_quadrupeds import SPHERE, joint, link, mjcf, urdf
 
 from surefoot.errors import SurefootError
 from surefoot.evaluation.trot_check import check_trot
-from surefoot.robot import RobotDescription
+from surefoot.robot import RobotDescription, SerialLegs
 from surefoot.robot.importing.imported import ImportedRobot
 from surefoot.robot.importing.reader import read_robot
 from surefoot.robot.importing.writer import write_robot
-from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, is_symmetric, side_difference
+from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, asymmetry, is_symmetric, side_difference
 from surefoot.robot.rigid_body import box_moments
 from surefoot.world.body_checks import check_file, check_masses, check_sides
 from surefoot.world.description_checks import run_description_checks, visual_overhang
@@ -189,10 +190,28 @@ def test_one_sided_position_errors_are_reported(old: str, new: str, words: str, 
     assert words in result.message
 
 
+def test_sides_with_other_zero_angles_are_reported() -> None:
+    robot = RobotDescription.load("go2")
+    legs = robot.leg_geometry
+    assert isinstance(legs, SerialLegs)
+    second = np.array([0.0, 1.0, 0.0, 0.0])
+    lower = legs.lower_angle + 0.1 * second
+    turned = replace(robot, leg_geometry=replace(legs, lower_angle=lower))
+    one, two = (robot.leg_names[k] for k in (0, 1))
+    assert side_difference(turned).length < 1e-6
+    assert asymmetry(turned) == f"at zero angles the lower links of {one} and {two} are 0.1 rad apart"
+    other = replace(robot, leg_geometry=replace(legs, knee=legs.knee * (1.0 - 2.0 * second)))
+    assert asymmetry(other) == f"the knees of {one} and {two} point in different directions"
+    # A whole turn changes nothing.
+    whole = replace(legs, lower_angle=legs.lower_angle + 2.0 * np.pi * second)
+    assert asymmetry(replace(robot, leg_geometry=whole)) is None
+
+
 @pytest.mark.parametrize("name", RobotDescription.available())
 def test_built_in_robots_are_symmetric(name: str) -> None:
     robot = RobotDescription.load(name)
     assert side_difference(robot).length < 1e-6
+    assert is_symmetric(robot)
     assert np.abs(visual_overhang(robot)).max() < 0.01 * robot.leg_geometry.length
 
 

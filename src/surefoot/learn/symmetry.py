@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from surefoot.errors import SurefootError
 from surefoot.policy.contract import MEMORY
 from surefoot.robot import RobotDescription, SerialLegs
-from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, is_symmetric, side_difference
+from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, asymmetry, side_difference
 from surefoot.task.commands import CommandState
 from surefoot.task.env import LocomotionEnv
 from surefoot.task.observation import PARTS
@@ -121,13 +121,11 @@ def mirror_columns(
 
 def mirror_note(robot: RobotDescription) -> str | None:
     """Return a one-line note on why a robot can't use mirrored samples, or None if it can."""
-    if is_symmetric(robot):
+    if (reason := asymmetry(robot)) is None:
         return None
-    difference = side_difference(robot)
-    limit = 1e3 * MAX_SIDE_DIFFERENCE * robot.leg_geometry.length
     return (
-        f"{difference.text}: training does not use mirrored samples (limit {limit:.2g} mm); if the real robot is "
-        "symmetric, correct its URDF; --ppo.no-symmetry turns this note off"
+        f"{reason}: training does not use mirrored samples; if the real robot is symmetric, correct its URDF; "
+        "--ppo.no-symmetry turns this note off"
     )
 
 

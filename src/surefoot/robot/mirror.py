@@ -25,12 +25,9 @@ class SideDifference(NamedTuple):
 
 def side_difference(robot: RobotDescription) -> SideDifference:
     """Compare hip positions and link lengths of the left and right legs."""
-    legs, mounts, worst = robot.leg_geometry, robot.leg_mounts, SideDifference(0.0, "left and right are mirror images")
-    for leg, mirror in enumerate(mounts * [1.0, -1.0, 1.0]):
-        distances = np.linalg.norm(mounts - mirror, axis=1)
-        distances[leg] = np.inf if len(mounts) > 1 else 0.0
-        other = int(np.argmin(distances))
-        parts = {"hip position": (float(distances[other]), 0.0)}
+    legs, worst = robot.leg_geometry, SideDifference(0.0, "left and right are mirror images")
+    for leg, (other, distance) in enumerate(_mirror_legs(robot)):
+        parts = {"hip position": (distance, 0.0)}
         if isinstance(legs, SerialLegs):
             across = legs.hip[leg, 0] + legs.hip[other, 0], legs.hip[leg, 1] - legs.hip[other, 1]
             parts |= {
@@ -46,6 +43,36 @@ def side_difference(robot: RobotDescription) -> SideDifference:
     return worst
 
 
+def _mirror_legs(robot: RobotDescription) -> list[tuple[int, float]]:
+    """Return the leg on the other side for each leg, and the distance [m] of its hip from the leg's mirror image."""
+    mounts, pairs = robot.leg_mounts, []
+    for leg, mirror in enumerate(mounts * [1.0, -1.0, 1.0]):
+        distances = np.linalg.norm(mounts - mirror, axis=1)
+        distances[leg] = np.inf if len(mounts) > 1 else 0.0
+        other = int(np.argmin(distances))
+        pairs.append((other, float(distances[other])))
+    return pairs
+
+
+def asymmetry(robot: RobotDescription) -> str | None:
+    """Return why a robot can't learn from mirrored samples, or None if left and right are similar enough."""
+    difference, limit = side_difference(robot), MAX_SIDE_DIFFERENCE * robot.leg_geometry.length
+    if difference.length > limit:
+        return f"{difference.text} (limit {1e3 * limit:.2g} mm)"
+    if not isinstance(legs := robot.leg_geometry, SerialLegs):
+        return None
+    for leg, (other, _) in enumerate(_mirror_legs(robot)):
+        one, two = robot.leg_names[leg], robot.leg_names[other]
+        if legs.knee[leg] != legs.knee[other]:
+            return f"the knees of {one} and {two} point in different directions"
+        # Mirror images of motor angles are equal up to the sign, so both sides need the same pose at zero.
+        for part, angle in {"upper": legs.upper_angle, "lower": legs.lower_angle}.items():
+            turn = float((angle[leg] - angle[other] + np.pi) % (2 * np.pi) - np.pi)
+            if abs(turn) > MAX_SIDE_DIFFERENCE:
+                return f"at zero angles the {part} links of {one} and {two} are {abs(turn):.2g} rad apart"
+    return None
+
+
 def is_symmetric(robot: RobotDescription) -> bool:
     """Return whether left and right are similar enough to learn from mirrored samples."""
-    return side_difference(robot).length <= MAX_SIDE_DIFFERENCE * robot.leg_geometry.length
+    return asymmetry(robot) is None

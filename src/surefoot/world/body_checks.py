@@ -11,7 +11,7 @@ from surefoot.check_result import CheckResult, fail_if, pass_if, warn_if
 from surefoot.errors import choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.rules import read_warnings
-from surefoot.robot.mirror import MAX_SIDE_DIFFERENCE, side_difference
+from surefoot.robot.mirror import asymmetry, side_difference
 from surefoot.robot.rigid_body import are_valid_moments, describe_gyration, first_with_count
 from surefoot.robot.urdf import Link
 
@@ -86,15 +86,13 @@ def check_sides(robot: RobotDescription) -> CheckResult:
         rule = f"{choices(differing)}: no mirror image within {MIRROR_TOLERANCE:.0%} of the leg length and mass"
         return CheckResult("left and right", False, rule, remedy)
     difference, length = side_difference(robot), robot.leg_geometry.length
-    limit = 1e3 * MAX_SIDE_DIFFERENCE * length
     if difference.length > MIRROR_TOLERANCE * length:
         rule = (
             f"; lengths may differ by at most {MIRROR_TOLERANCE:.0%} of the leg length, "
             f"{1e3 * MIRROR_TOLERANCE * length:.2g} mm"
         )
         return CheckResult("left and right", False, difference.text + rule, remedy)
-    if difference.length > MAX_SIDE_DIFFERENCE * length:
-        rule = f"{difference.text}: training does not use mirrored samples (limit {limit:.2g} mm)"
-        return warn_if("left and right", rule, "", remedy)
+    if (reason := asymmetry(robot)) is not None:
+        return warn_if("left and right", f"{reason}: training does not use mirrored samples", "", remedy)
     near = "" if difference.length < 1e-6 else f" within {1e3 * difference.length:.1g} mm"
     return CheckResult("left and right", True, f"left and right are mirror images{near}")
