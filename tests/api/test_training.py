@@ -49,7 +49,7 @@ def test_another_robot_than_that_of_the_previous_run_is_reported(tmp_path: Path)
     note = start_note(replace(load_train_config("trot", "go2"), start_from=str(run.path)))
     assert note is not None
     assert "another robot" in note
-    assert "robot go2 (was solo8), " in note
+    assert note.endswith("other effects: robot go2 (was solo8)")
     # The copy in the folder of a run is the same robot.
     folder = tmp_path / "own"
     shutil.copytree(RobotDescription.find_folder("go2"), folder)

@@ -162,7 +162,7 @@ def test_implausible_units_are_rejected_with_a_likely_unit(
     [
         (0.0, True, False, "left and right are mirror images"),
         (0.0005, True, False, "mirror images within 0.5 mm"),
-        (0.004, True, True, "back_left's upper link is 4 mm longer than back_right's: training does not use mirrored"),
+        (0.004, True, True, "back_left's upper link is 4 mm longer than back_right's (limit 2 mm): training does"),
         (0.02, False, False, "back_left's upper link is 20 mm longer than back_right's"),
     ],
 )

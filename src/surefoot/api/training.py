@@ -20,6 +20,7 @@ from surefoot.errors import SurefootError
 from surefoot.learn.config import LoggerName, TrainConfig
 from surefoot.progress import ProgressBar
 from surefoot.robot import RobotDescription
+from surefoot.robot.archive import pack_robot
 from surefoot.robot.params import CONTROLLER_PARAMETERS
 from surefoot.robot.randomization import RelativeRange
 from surefoot.stop_signals import StopSignals
@@ -91,7 +92,7 @@ def start_note(config: TrainConfig) -> str | None:
     previous, task = RunFolder.open(Path(config.start_from))[1].task, config.task
     before, now = (RobotDescription.load(one.robot) for one in (previous, task))
     changes = []
-    if before.archive != now.archive:
+    if pack_robot(before.folder) != pack_robot(now.folder):
         was = f"was {before.name}" if before.name != now.name else "its files have changed"
         changes.append(f"robot {now.name} ({was})")
     changes += [
