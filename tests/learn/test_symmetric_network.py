@@ -36,7 +36,8 @@ def make_policy(hidden: tuple[int, ...]) -> tuple[MLPModel, PolicySymmetry]:
         groups, {"actor": ["policy"]}, "actor", 2, hidden, "elu", obs_normalization=True, distribution_cfg=distribution
     )
     symmetry = PolicySymmetry(actor, Mirror())  # type: ignore[arg-type]
-    symmetry.update_normalization(torch.randn(50, 4) + torch.tensor([1.0, 2.0, 3.0, 4.0]))
+    observations = torch.randn(50, 4) + torch.tensor([1.0, 2.0, 3.0, 4.0])
+    update_normalizer(actor.obs_normalizer, observations, symmetry.observations)
     return actor, symmetry
 
 

@@ -11,7 +11,6 @@ from typing import Any, Self
 
 import torch
 from rsl_rl.algorithms import PPO
-from rsl_rl.models import MLPModel
 from rsl_rl.modules import MLP
 from tensordict import TensorDict
 from torch import nn
@@ -79,7 +78,7 @@ class ParallelPPO(PPO):
     Policy and critic share neither parameters nor a loss, so they learn on two threads. Each operation uses one thread,
     so results do not depend on the number of cores. Observations are normalized once per update, because the
     normalizers change only after it. With mirror images a new policy is symmetric by its weights, and learns from them
-    without running them (`PolicySymmetry`); one that is not, such as that of an older run, runs them. The critic learns
+    without running them (`PolicySymmetry`); one that is not, such as an older run's, runs them. The critic learns
     without: twice the samples cost time, and policies were not better.
 
     Args:
@@ -191,20 +190,16 @@ class ParallelPPO(PPO):
         value_loss = pending.result() if pending else self._learn_values(value, size, rates)
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate
-        observations = store.observations.flatten(0, 1)
-        if self.policy_symmetry is not None:
-            self.policy_symmetry.update_normalization(observations["policy"])
-            self.policy_symmetry.remove_rounding()
-        else:
-            self._update_normalizer(self.actor, observations)
-        self._update_normalizer(self.critic, observations)
+        observations, symmetry = store.observations.flatten(0, 1), self.policy_symmetry
+        mirrored = None if symmetry is None else symmetry.observations
+        for model, reflection in ((self.actor, mirrored), (self.critic, None)):
+            inputs = torch.cat([observations[group] for group in model.obs_groups], -1)
+            update_normalizer(model.obs_normalizer, inputs, reflection)
+        if symmetry is not None:
+            symmetry.remove_rounding()
         store.clear()
         steps = self.num_learning_epochs * minibatches
         return {"value": value_loss / steps, "surrogate": surrogate / steps, "entropy": entropy / steps}
-
-    def _update_normalizer(self, model: MLPModel, observations: TensorDict) -> None:
-        inputs = torch.cat([observations[group] for group in model.obs_groups], -1)
-        update_normalizer(model.obs_normalizer, inputs)
 
     def _policy_samples(self) -> _PolicySamples:
         store, normalize = self.storage, self.actor.obs_normalizer

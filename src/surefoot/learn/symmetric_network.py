@@ -9,7 +9,6 @@ import torch
 from rsl_rl.models import MLPModel
 from torch import nn
 
-from surefoot.learn.normalization import update_normalizer
 from surefoot.learn.symmetry import MirrorSamples, Reflection, swap_halves
 
 _TOLERANCE = 1e-6
@@ -42,10 +41,12 @@ class PolicySymmetry:
     """
 
     def __init__(self, actor: MLPModel, mirror: MirrorSamples) -> None:
-        self._normalizer, self._mirror = actor.obs_normalizer, mirror
+        self._normalizer = actor.obs_normalizer
+        self.observations = mirror.reflections["policy"]
+        """Mirror image of the observations."""
         layers = [layer for layer in actor.mlp if isinstance(layer, nn.Linear)]
         self._parameters: list[_SymmetricParameter] = []
-        before = mirror.reflections["policy"]
+        before = self.observations
         for layer in layers:
             units = layer.out_features
             pairs = Reflection(torch.from_numpy(swap_halves(units)), torch.ones(units))
@@ -71,9 +72,8 @@ class PolicySymmetry:
     def mirror_unused_inputs(self) -> None:
         """Make the statistics of inputs without weights symmetric, such as those that a warm start has added."""
         weight = self._parameters[0].parameter
-        reflect = self._mirror.reflections["policy"]
         unused = (weight == 0.0).all(0)
-        unused &= unused[reflect.source]
+        unused &= unused[self.observations.source]
         for buffer, image in self._statistics():
             buffer[:, unused] = 0.5 * (buffer + image)[:, unused]
 
@@ -89,10 +89,6 @@ class PolicySymmetry:
             if (gradient := one.parameter.grad) is not None:
                 gradient.add_(one.image(gradient)).mul_(0.5)
 
-    def update_normalization(self, observations: torch.Tensor) -> None:
-        """Update the normalizer with observations (B, O) and their mirror images."""
-        update_normalizer(self._normalizer, observations, self._mirror.reflections["policy"])
-
     def remove_rounding(self) -> None:
         """Remove the differences between images that rounding makes."""
         with torch.no_grad():
@@ -103,10 +99,9 @@ class PolicySymmetry:
 
     def _statistics(self) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
         """Yield the statistics of the normalizer with their images."""
-        reflect = self._mirror.reflections["policy"]
-        yield self._normalizer._mean, reflect(self._normalizer._mean)
+        yield self._normalizer._mean, self.observations(self._normalizer._mean)
         for buffer in (self._normalizer._var, self._normalizer._std):
-            yield buffer, buffer[:, reflect.source]
+            yield buffer, buffer[:, self.observations.source]
 
 
 def _reflect_matrix(rows: Reflection, columns: Reflection) -> Reflection:

@@ -26,7 +26,7 @@ class SideDifference(NamedTuple):
 def side_difference(robot: RobotDescription) -> SideDifference:
     """Compare hip positions and link lengths of the left and right legs."""
     legs, worst = robot.leg_geometry, SideDifference(0.0, "left and right are mirror images")
-    for leg, (other, distance) in enumerate(_mirror_legs(robot)):
+    for leg, (other, distance) in enumerate(mirror_legs(robot)):
         parts = {"hip position": (distance, 0.0)}
         if isinstance(legs, SerialLegs):
             across = legs.hip[leg, 0] + legs.hip[other, 0], legs.hip[leg, 1] - legs.hip[other, 1]
@@ -43,7 +43,7 @@ def side_difference(robot: RobotDescription) -> SideDifference:
     return worst
 
 
-def _mirror_legs(robot: RobotDescription) -> list[tuple[int, float]]:
+def mirror_legs(robot: RobotDescription) -> list[tuple[int, float]]:
     """Return the leg on the other side for each leg, and the distance [m] of its hip from the leg's mirror image."""
     mounts, pairs = robot.leg_mounts, []
     for leg, mirror in enumerate(mounts * [1.0, -1.0, 1.0]):
@@ -61,7 +61,7 @@ def asymmetry(robot: RobotDescription) -> str | None:
         return f"{difference.text} (limit {1e3 * limit:.2g} mm)"
     if not isinstance(legs := robot.leg_geometry, SerialLegs):
         return None
-    for leg, (other, _) in enumerate(_mirror_legs(robot)):
+    for leg, (other, _) in enumerate(mirror_legs(robot)):
         one, two = robot.leg_names[leg], robot.leg_names[other]
         if legs.knee[leg] != legs.knee[other]:
             return f"the knees of {one} and {two} point in different directions"

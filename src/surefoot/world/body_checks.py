@@ -11,7 +11,7 @@ from surefoot.check_result import CheckResult, fail_if, pass_if, warn_if
 from surefoot.errors import choices
 from surefoot.robot import RobotDescription
 from surefoot.robot.importing.rules import read_warnings
-from surefoot.robot.mirror import asymmetry, side_difference
+from surefoot.robot.mirror import asymmetry, mirror_legs, side_difference
 from surefoot.robot.rigid_body import are_valid_moments, describe_gyration, first_with_count
 from surefoot.robot.urdf import Link
 
@@ -75,10 +75,8 @@ def check_sides(robot: RobotDescription) -> CheckResult:
     links, joints = robot.urdf.fuse_fixed_links().links, robot.urdf.joints
     masses = [sum(links[joints[name].child].mass for name in (*leg.motors, *leg.knees)) for leg in robot.legs]
     differing = []
-    for leg, mirror in enumerate(robot.leg_mounts * [1.0, -1.0, 1.0]):
-        distances = np.linalg.norm(robot.leg_mounts - mirror, axis=1)
-        other = int(np.argmin(distances))
-        apart = distances[other] > MIRROR_TOLERANCE * robot.leg_geometry.length
+    for leg, (other, distance) in enumerate(mirror_legs(robot)):
+        apart = distance > MIRROR_TOLERANCE * robot.leg_geometry.length
         if other == leg or apart or abs(masses[leg] - masses[other]) > MIRROR_TOLERANCE * masses[leg]:
             differing.append(robot.leg_names[leg])
     remedy = "correct positions and lengths of links and masses of legs, or continue if the robot is built so"
